@@ -7,8 +7,6 @@ except for the soft start: from zero an axis approaches the seam at its rate lim
 the reason SOFT_START until it is there. All limits are inclusive: a value at its limit passes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -106,7 +104,7 @@ class LastSent:
     measured_y_mm: float = math.nan
     measured_z_mm: float = math.nan
 
-    def set_back(self, back_s: float) -> LastSent:
+    def set_back(self, back_s: float) -> "LastSent":
         """Return the same by a clock that was set back, s."""
         return replace(
             self,

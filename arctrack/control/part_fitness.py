@@ -1,7 +1,5 @@
 """Fitness of a part to be welded: of its joint before the arc, and of the stretches without one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -34,7 +32,7 @@ class PartCheck:
     latest: Fault = Fault.NONE
     looks: int = 0
 
-    def seen(self, track: Track, limits: PartLimits) -> PartCheck:
+    def seen(self, track: Track, limits: PartLimits) -> "PartCheck":
         """Return the state after a frame before the arc; one without a seam changes nothing.
 
         A required value that is not known is out of its range.
@@ -56,7 +54,7 @@ class Bridge:
     seen_at_mm: float = math.nan
     bridged_mm: float = 0.0
 
-    def seen(self, track: Track, T_base_tool: Float64, bridging: Bridging) -> Bridge:
+    def seen(self, track: Track, T_base_tool: Float64, bridging: Bridging) -> "Bridge":
         """Return the state after a frame from a pose (4, 4), mm."""
         ahead_base = transform(T_base_tool, np.array(bridging.ahead_tool_mm))
         x_mm, y_mm, z_mm = ahead_base.tolist()

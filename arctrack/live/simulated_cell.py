@@ -1,7 +1,5 @@
 """Simulated robot in real time on a real bus, with its camera; the tracker is another process."""
 
-from __future__ import annotations
-
 import errno
 import heapq
 import math
@@ -106,7 +104,7 @@ class Shot:
     status: RobotStatus
 
     @classmethod
-    def of(cls, robot: Robot, captured_s: float) -> Shot:
+    def of(cls, robot: Robot, captured_s: float) -> "Shot":
         """Return a robot's at a time."""
         y_mm, z_mm = robot.offset_mm.tolist()
         return cls(captured_s, robot.station_mm, robot.weave_s, (y_mm, z_mm), robot.status)

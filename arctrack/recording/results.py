@@ -1,7 +1,5 @@
 """Numeric results of a replay: results.csv, a row a frame, and summary.json."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
@@ -162,7 +160,7 @@ class Latency:
     max: float
 
     @classmethod
-    def of(cls, compute_ms: Sequence[float]) -> Latency:
+    def of(cls, compute_ms: Sequence[float]) -> "Latency":
         """Return the quantiles of the times that are known."""
         known = [value for value in compute_ms if math.isfinite(value)]
         if not known:

@@ -1,7 +1,5 @@
 """Comparison of the offsets that a live run sent, by its black box, with those of a replay."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Mapping
@@ -33,7 +31,7 @@ class OffsetOutcome:
         """Decision of the gate, with the reason."""
         return ", ".join(text for text in (self.validity, self.gate_reason) if text) or "not noted"
 
-    def differs(self, other: OffsetOutcome) -> bool:
+    def differs(self, other: "OffsetOutcome") -> bool:
         """Return True if another offset is a different one for a robot."""
         pairs = (self.offset_y_mm, other.offset_y_mm), (self.offset_z_mm, other.offset_z_mm)
         is_other = any(not _is_same(run_mm, other_mm) for run_mm, other_mm in pairs)

@@ -12,8 +12,6 @@ exchanges, and the offset at the latest time grows with the skew. No average is 
 only the split of the least delays between both ways is undetermined.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -109,7 +107,7 @@ class ClockSync:
     robot_s: float = 0.0
     steps: int = 0
 
-    def on_sync(self, sync: RobotSync, arrived_s: float, limits: SyncLimits) -> ClockSync:
+    def on_sync(self, sync: RobotSync, arrived_s: float, limits: SyncLimits) -> "ClockSync":
         """Return the state after a RobotSync that was read at `arrived_s`, tracker's clock.
 
         Its round trip is that of the message before it.
@@ -131,7 +129,7 @@ class ClockSync:
         )
         return state.exchanged(Exchange(state.robot_s, arrived_s), limits)
 
-    def exchanged(self, exchange: Exchange, limits: SyncLimits) -> ClockSync:
+    def exchanged(self, exchange: Exchange, limits: SyncLimits) -> "ClockSync":
         """Return the state with one more exchange.
 
         Where it contradicts those before, a clock was set, and the state holds this one alone.

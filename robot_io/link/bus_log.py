@@ -5,8 +5,6 @@ formats store times relative to a start: here that start is 0 for recording time
 wall-clock times, so that nothing is lost to the start's own resolution of a millisecond.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 import time
@@ -48,7 +46,7 @@ class BusLogWriter:
         except OSError as error:
             raise self._cannot_be_written(error) from error
 
-    def __enter__(self) -> BusLogWriter:
+    def __enter__(self) -> "BusLogWriter":
         return self
 
     def __exit__(self, *_exception: object) -> None:

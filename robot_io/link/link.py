@@ -3,8 +3,6 @@
 Nothing waits to be sent: a message goes out at once or not at all, so that no old one comes before a new one.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import Counter, deque
@@ -116,7 +114,7 @@ class Link:
                 opened.callback(self._logs[-1].close)
             self._opened = opened.pop_all()
 
-    def __enter__(self) -> Link:
+    def __enter__(self) -> "Link":
         return self
 
     def __exit__(self, *_exception: object) -> None:

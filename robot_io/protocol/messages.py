@@ -4,8 +4,6 @@ The fields bear the names of the signals in `arctrack.dbc`, units included. A nu
 a count that is not known is None, a state that is not known is its enumeration's UNKNOWN: never 0.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import IntEnum
@@ -237,7 +235,7 @@ class RobotPoseRotation(BusMessage):
     @classmethod
     def from_quaternion(
         cls, quaternion_xyzw: tuple[float, float, float, float], sample_age_ms: float = math.nan
-    ) -> RobotPoseRotation:
+    ) -> "RobotPoseRotation":
         """Return the message of a unit quaternion x y z w.
 
         Raises ValueError if the quaternion is not finite or its norm is off 1 by more than 0.001.

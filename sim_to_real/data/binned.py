@@ -1,7 +1,5 @@
 """A recording as the diagnosis sees it: frames binned, with their poses, seams and usable pixels."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -78,7 +76,7 @@ class ObservedFrame:
         """The means of the bins that count (n,)."""
         return self.binned_dn.reshape(-1)[self.bins].astype(np.float64)
 
-    def with_bins(self, chosen: Int64) -> ObservedFrame:
+    def with_bins(self, chosen: Int64) -> "ObservedFrame":
         """Return the frame with some of its bins alone, (n,) by their places among those that count."""
         keep = np.zeros_like(self.keep)
         keep.reshape(-1)[self.bins[chosen]] = True
@@ -136,17 +134,17 @@ class ObservedRecording:
             *self.seam_observations.in_joint(known), self.seam_observations.variances_mm2
         )
 
-    def of_metal(self, change: Callable[[Setup], Setup]) -> ObservedRecording:
+    def of_metal(self, change: Callable[[Setup], Setup]) -> "ObservedRecording":
         """Return the recording with another metal; `change` puts it into a setup."""
         setup, binned = change(self.setup), change(self.binned)
         return replace(self, setup=setup, binned=binned, is_metal_fitted=True)
 
-    def with_read_noise(self, ratio: float) -> ObservedRecording:
+    def with_read_noise(self, ratio: float) -> "ObservedRecording":
         """Return the recording with its stated read noise times a ratio."""
         sensor = replace(self.setup.sensor, read_noise_e=ratio * self.setup.sensor.read_noise_e)
         return replace(self, setup=replace(self.setup, sensor=sensor))
 
-    def subset(self, chosen: Bool) -> ObservedRecording:
+    def subset(self, chosen: Bool) -> "ObservedRecording":
         """Return a recording of some of the frames (n_frames,)."""
         frames = [frame for frame, is_in in zip(self.frames, chosen, strict=True) if is_in]
         return replace(self, frames=tuple(replace(f, position=n) for n, f in enumerate(frames)))
@@ -284,7 +282,7 @@ def _stated_e(setup: Setup, layers: Layers, condition: Condition) -> Float32:
 
 
 def _noise(
-    binned_dn: Float32, setup: Setup, bin_px: int, transfer: PhotonTransfer
+    binned_dn: Float32, setup: Setup, bin_px: int, transfer: "PhotonTransfer"
 ) -> tuple[Float64, Float64]:
     """Return the noise (h, w) of bins with the model's floor, and its variance beyond the stated noise.
 

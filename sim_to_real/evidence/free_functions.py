@@ -5,8 +5,6 @@ multiplies a source's light. Added to a linear hypothesis, its posterior has a c
 curve, the covariance its band, and the evidence says how strongly the residual depends on the covariate.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -72,7 +70,7 @@ class FreeFunction:
     @classmethod
     def likeliest(
         cls, table: EvidenceTable, families: Sequence[FunctionFamily], policy: Policy
-    ) -> FreeFunction:
+    ) -> "FreeFunction":
         """Return the likeliest of a covariate's functions, whose families are the blocks of a table."""
         alone = table.sizes()
         fitted = [
@@ -105,7 +103,7 @@ class FreeFunctions:
         none: LinearHypothesis,
         named: LinearHypothesis,
         policy: Policy,
-    ) -> FreeFunctions:
+    ) -> "FreeFunctions":
         """Return the functions added to `none`, no gap, and `named`, which is `none` if nothing is named."""
         hypotheses = [none] if named is none else [none, named]
         added: list[dict[str, FreeFunction]] = [{} for _ in hypotheses]

@@ -7,8 +7,6 @@ coordinates of some stage, of any of several sizes. It may act alone or with eff
 a third one leave much that an additional unknown cause explains.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -115,7 +113,7 @@ class Posterior:
         unknown: UnknownCause,
         n_effects: int,
         policy: Policy,
-    ) -> Posterior:
+    ) -> "Posterior":
         """Weigh hypotheses by evidence and prior odds; `n_effects` share the odds of one effect evenly.
 
         The same effects constant, and as they change in the course of a weld, share their odds too.

@@ -10,8 +10,6 @@ columns with each other. What all hypotheses share, ln |C|, is left out. About t
 not linear this is Laplace's approximation (MacKay 1992, Neural Computation 4, 415).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,7 +31,7 @@ class WeightedColumns:
     weighted: Float64
     projected: Float64
 
-    def products(self, others: WeightedColumns) -> Float64:
+    def products(self, others: "WeightedColumns") -> Float64:
         """Return the products (k, j) with others (n, j) in the metric."""
         # Of one array with itself BLAS computes half of the products.
         return np.asarray(self.weighted.T @ others.weighted - self.projected.T @ others.projected)
@@ -51,7 +49,7 @@ class Metric:
     projector: Float64
 
     @classmethod
-    def of(cls, floor: Float32, weights: Float32) -> Metric:
+    def of(cls, floor: Float32, weights: Float32) -> "Metric":
         """Return the metric of the model's own error in columns (n, m) and of weights (n,)."""
         root_weights = np.sqrt(weights.astype(np.float64))
         weighted = compress(floor) * root_weights[:, np.newaxis]
@@ -88,7 +86,7 @@ class MetricLoss:
 
     metric: Metric
 
-    def about(self, r: Float64) -> MetricLoss:
+    def about(self, r: Float64) -> "MetricLoss":
         """Return the loss for a step from any residuals: it is always the same."""
         return self
 

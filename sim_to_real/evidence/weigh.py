@@ -1,7 +1,5 @@
 """The posterior over all hypotheses about a recording's gap: looked at, fitted as far as needed, weighed."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -41,7 +39,7 @@ class WeightedHypotheses:
     bins: Int64
     policy: Policy = POLICY
 
-    def without(self, refuted: Hypothesis) -> WeightedHypotheses:
+    def without(self, refuted: Hypothesis) -> "WeightedHypotheses":
         """Return the same without a hypothesis that other frames have refuted."""
         posterior = self.posterior
         kept = [hypothesis for hypothesis in posterior.hypotheses if hypothesis is not refuted]

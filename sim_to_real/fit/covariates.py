@@ -1,7 +1,5 @@
 """Covariates of a residual: each bin's place in the image, on the part and in time, and its light."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -80,7 +78,7 @@ class Covariates:
         """The predicted light of both sources (n,), DN."""
         return self.arc_dn + self.laser_dn
 
-    def subset(self, chosen: Integers) -> Covariates:
+    def subset(self, chosen: Integers) -> "Covariates":
         """Return some bins alone; `chosen` are their places among all."""
         arrays = vars(self).keys() - {"shape", "values"}
         values = {name: of_all[chosen] for name, of_all in self.values.items()}

@@ -1,7 +1,5 @@
 """Light of a frame's bins: the predicted bins, their rendering, and the light after effects."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,14 +34,14 @@ class PredictedBins:
     inner: tuple[Int64, Int64] | None
 
     @classmethod
-    def whole(cls, frame: ObservedFrame) -> PredictedBins:
+    def whole(cls, frame: ObservedFrame) -> "PredictedBins":
         """Return all bins: what spreads over the image comes from all of them."""
         every, rendered = np.arange(frame.keep.size), np.flatnonzero(frame.rendered)
         nearest = nearest_rendered(frame.rendered)
         return cls(frame, every, rendered, nearest, frame.bins, frame.keep[frame.rendered], None)
 
     @classmethod
-    def near(cls, frame: ObservedFrame) -> PredictedBins:
+    def near(cls, frame: ObservedFrame) -> "PredictedBins":
         """Return the bins that count and their neighbours, which the lens blurs into them."""
         around = neighbours(frame.bins, (frame.keep.shape[0], frame.keep.shape[1]))
         places = np.unique(around)

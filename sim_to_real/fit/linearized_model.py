@@ -6,8 +6,6 @@ camera or seam by its tolerance changes light along its derivatives (`Tangents`)
 an effect itself moves.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -62,7 +60,7 @@ class LinearizedModel:
         self._threads = threads
         self._executor = ThreadPoolExecutor(threads)
 
-    def anchored_at(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> LinearizedModel:
+    def anchored_at(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> "LinearizedModel":
         """Return the model with light's derivatives about nuisances (p,) and effects; caches are shared."""
         anchored = copy.copy(self)
 
@@ -74,7 +72,7 @@ class LinearizedModel:
         anchored._tangents = self._over_calls(tangents_of, self._near, trend)
         return anchored
 
-    def with_bins(self, chosen: Int64) -> LinearizedModel:
+    def with_bins(self, chosen: Int64) -> "LinearizedModel":
         """Return the model of some bins alone; `chosen` (n,) are their places among those of all frames."""
         ends = np.cumsum(self.observed.counts)
         starts = ends - self.observed.counts

@@ -1,7 +1,5 @@
 """Losses of residuals in a fit: Huber's loss of each, which needs no error model."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
@@ -46,7 +44,7 @@ class HuberLoss:
     prior_weight: float
 
     @classmethod
-    def about(cls, r: Float64) -> HuberLoss:
+    def about(cls, r: Float64) -> "HuberLoss":
         """Return the loss for a step from residuals (n,)."""
         bound = huber_bound(r)
         chi2 = float(huber_weights(r, bound) @ r**2)

@@ -1,7 +1,5 @@
 """Derivatives of frames' light with the nuisances that move camera and seam, for many frames in one call."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -37,7 +35,7 @@ class Tangents:
     arc_e: Float32 | None
     laser_e: Float32 | None
 
-    def subset(self, chosen: Int64) -> Tangents:
+    def subset(self, chosen: Int64) -> "Tangents":
         """Return those of some bins (k,)."""
         arc_e, laser_e = (
             every if every is None else every[:, chosen] for every in (self.arc_e, self.laser_e)

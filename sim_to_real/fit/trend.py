@@ -4,8 +4,6 @@ In a frame its parameters are theta + u beta; u runs from -1 to 1 over the recor
 plate, fume gathers, and an arc is longer where the torch is higher.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -52,7 +50,7 @@ class Trend:
     amplitude: tuple[float, ...]
 
     @classmethod
-    def of(cls, observed: ObservedRecording, effect: str, driver: Driver) -> Trend:
+    def of(cls, observed: ObservedRecording, effect: str, driver: Driver) -> "Trend":
         """Return a trend of amplitude 0 over the driver's range in a recording."""
         driven = [_driver_value(observed.setup, driver, frame) for frame in observed.frames]
         low, high = min(driven), max(driven)

@@ -6,8 +6,6 @@ cost at the best t and nuisances is then a closed form. This is Rao's score test
 out, with finite steps in place of derivatives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -30,7 +28,7 @@ class ProbeFamily:
     probe_points: tuple[Values, ...]
     shape: Values = field(default_factory=dict)
 
-    def for_part(self, number: int) -> ProbeFamily:
+    def for_part(self, number: int) -> "ProbeFamily":
         """Return the family for another part of an effect with several; the first one is 1."""
 
         def renamed(values: Values) -> Values:
@@ -219,10 +217,10 @@ class ScoreTest:
     signature: Float64
     origin: dict[str, float]
     steps: Float64
-    others: tuple[ScoreTest, ...] = ()
+    others: "tuple[ScoreTest, ...]" = ()
 
     @property
-    def families(self) -> tuple[ScoreTest, ...]:
+    def families(self) -> "tuple[ScoreTest, ...]":
         """The scores of all of the effect's families, the best first."""
         return (self, *self.others)
 

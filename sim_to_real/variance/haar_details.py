@@ -11,8 +11,6 @@ r = rho^2 - 1 is of the read noise, g is the relative variance that goes with al
 of the laser speckle's variance that either detail keeps.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -63,11 +61,11 @@ class HaarDetails:
     light: Float64
     laser: Float64
 
-    def subset(self, chosen: Bool) -> HaarDetails:
+    def subset(self, chosen: Bool) -> "HaarDetails":
         """Return some of the bins (n,)."""
         return HaarDetails(*(values[chosen] for values in vars(self).values()))
 
-    def variance(self, sizes: VarianceSizes, of_laser: float = 0.0) -> Float64:
+    def variance(self, sizes: "VarianceSizes", of_laser: float = 0.0) -> Float64:
         """Return the variance of a pixel (n,), DN^2, with random effects of these sizes."""
         more = sizes.read * self.read + sizes.light * self.light + of_laser * self.laser
         return np.maximum(self.stated + more, MIN_VARIANCE_RATIO * self.stated)

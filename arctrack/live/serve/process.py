@@ -1,7 +1,5 @@
 """The process of a live run: how it is scheduled, its memory, its garbage, and its watchdog."""
 
-from __future__ import annotations
-
 import ctypes
 import faulthandler
 import gc
@@ -77,7 +75,7 @@ class Watchdog:
         self._limit_s = limit_s
         self._fed_s = float("-inf")
 
-    def __enter__(self) -> Watchdog:
+    def __enter__(self) -> "Watchdog":
         self.feed()
         return self
 

@@ -1,7 +1,5 @@
 """Images that a source names, their order, their numbers, and the times that their names carry."""
 
-from __future__ import annotations
-
 import calendar
 import glob
 import math
@@ -49,7 +47,7 @@ class ImageSeries:
     def __len__(self) -> int:
         return len(self.paths)
 
-    def in_order(self, order: Sequence[int]) -> ImageSeries:
+    def in_order(self, order: Sequence[int]) -> "ImageSeries":
         """Return the images in another order, counted from 0; themselves if the order is theirs."""
         if list(order) == list(range(len(self))):
             return self

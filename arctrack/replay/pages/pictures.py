@@ -1,7 +1,5 @@
 """Pictures of a replay, drawn after its last offset was sent, so that drawing delays no robot."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -87,7 +85,7 @@ class ReplayPictures:
                     assert picture is not None
                     overlay.write(picture)
 
-    def _draw(self, seen: SeenFile, exporters: Mapping[str, Exporter]) -> None:
+    def _draw(self, seen: SeenFile, exporters: "Mapping[str, Exporter]") -> None:
         recording, truth_mm = self.recording, truth_by_frame(self.truth)
         overview = Overview(recording)
         page = ReplayPage(recording, self.truth, self.use_arc_map)
