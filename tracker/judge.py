@@ -9,6 +9,7 @@ import numpy as np
 
 from tracker import checks, flags
 from tracker.checks import FrameChecks
+from tracker.joint import SLOTS
 from tracker.observation import FrameInput, Reading
 from tracker.seam.expected import ExpectedSeam
 from tracker.seam.gaussian_process import MAX_STRETCHES, NO_HISTORY, WIDE_SIGMA_MM, SeamHistory
@@ -28,9 +29,9 @@ The rim of a tack shows a joint for some frames, or now and then: a seam shows i
 
 
 SURE_NATS = math.log(1e5)
-"""Evidence, nats, at which one frame under a burning arc shows a new seam: chance reaches it in one of 1e5.
+"""Evidence, nats, at which one frame under a burning arc shows a new gap: chance reaches it in one of 1e5.
 
-With less it waits for a second frame: a dark spot of the metal is elsewhere in that. So it does where a line
+With less its seam waits for a second frame: a dark spot of the metal is elsewhere in that. So it does where a line
 off the stripe shows it, for between two streaks there is one, and chance has no part in these.
 """
 
@@ -68,7 +69,8 @@ def judge(
     steering = before.steering._replace(hand_eye_variance_mm2=(calibration_y, calibration_z))
     state = before._replace(steering=steering)
     by_line = bool(frame_checks.flags & flags.SEAM_BY_LINE.mask)
-    is_doubtful = given.arc_burns and (by_line or joint.evidence_nats < SURE_NATS)
+    by_gap = given.geometry.setup.joint.type in SLOTS and joint.evidence_nats < SURE_NATS
+    is_doubtful = given.arc_burns and (by_line or by_gap)
     state = remember(frame_checks, source, state, located.station_mm, off_mm, variance_mm2, is_doubtful)
     if state.history.n == 0:
         return state, None
