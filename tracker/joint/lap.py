@@ -34,7 +34,7 @@ from tracker.joint.upright_edge import (
     points_around_edge,
 )
 from tracker.profile import Section, in_scan_order
-from tracker.state import DZ_MM, SIGMA_PX, Y_MM, Z_MM, JointShape
+from tracker.state import DZ_MM, SCAN, SIGMA_PX, Y_MM, Z_MM, JointShape
 
 SEARCH_STEP_MM = 0.1
 CLEAR_OF_EDGE_MM = 0.4
@@ -156,9 +156,11 @@ def edge_of_sheets(section: Section, points: Float64, sheets: SheetLines, thickn
         hidden=hidden,
     )
     # Glare or spatter over all of the points near it: between those beyond an edge may be anywhere, if the
-    # scan lines themselves do not tell.
+    # scan lines themselves do not tell, or show a surface that is neither sheet's.
     between_mm = lines[Y_MM, behind] - hidden.width_mm - lines[Y_MM, before]
-    widest_mm = 2.0 * CLEAR_OF_EDGE_MM
+    widest_mm, n_lines = 2.0 * CLEAR_OF_EDGE_MM, abs(lines[SCAN, behind] - lines[SCAN, before]) - 1.0
+    if behind - before - 1 > 0.5 * n_lines:
+        edge = Edge(edge.y_mm, edge.variance_mm2 + between_mm**2 / 12.0, edge.y_per_z)
     is_lost = between_mm > widest_mm and 12.0 * edge.variance_mm2 > widest_mm**2
     return nowhere if is_lost else edge
 
