@@ -27,12 +27,11 @@ JUMPS_TO_RELEARN, RELEARN_MM, RELEARN_SHARE = 3, 1.5, 0.5
 The rim of a tack shows a joint for some frames, or now and then: a seam shows it on and on.
 """
 
-
 SURE_NATS = math.log(1e5)
 """Evidence, nats, at which one frame under a burning arc shows a new gap: chance reaches it in one of 1e5.
 
-With less its seam waits for a second frame: a dark spot of the metal is elsewhere in that. So it does where a line
-off the stripe shows it, for between two streaks there is one, and chance has no part in these.
+With less its seam waits for a second frame: a dark spot of the metal is elsewhere in that. So it does where a
+line off the stripe shows it, for between two streaks there is one, and chance has no part in these.
 """
 
 
