@@ -107,7 +107,7 @@ def _with_expected(
         return look
     joint = reading.joint
     located = locate(geometry.seam_source, pose.T_base_tool, reading.scene, joint.y_mm, joint.z_mm)
-    seam, _ = state.history.line_at(located.station_mm)
+    seam, _ = geometry.seam_source.line_at(state.history, located.segment, located.station_mm)
     placed = expect_stripe(geometry, make_scene(geometry.setup, pose.T_base_tool, seam))
     look = replace(look, placed=placed, seam_mm=located.displacement_mm)
     if placed is None:

@@ -84,19 +84,18 @@ def test_a_straight_seam_gives_its_own_line() -> None:
     stations = np.arange(100.0, 160.0, 1.0)
     displacements = np.column_stack([1.0 + 0.01 * stations, 2.0 - 0.005 * stations])
     history = history_of(stations, displacements, np.full((60, 2), 1e-4))
-    line, _ = history.line_at(130.0)
-    assert (line.y_mm, line.z_mm) == pytest.approx((2.3, 1.35), abs=2e-3)
-    assert (line.slope_y, line.slope_z) == pytest.approx((0.01, -0.005), abs=5e-4)
-    assert line.station_mm == 130.0
+    there = history.point_at(130.0)
+    assert there.displacement_mm == pytest.approx((2.3, 1.35), abs=2e-3)
+    assert there.slope == pytest.approx((0.01, -0.005), abs=5e-4)
 
 
 def test_a_slope_is_as_unsure_as_it_is_before_it_is_measured() -> None:
-    assert SeamHistory().line_at(5.0)[0].slope_sigma == pytest.approx(SLOPE_SIGMA)
+    assert max(SeamHistory().point_at(5.0).slope_sigma) == pytest.approx(SLOPE_SIGMA)
     sigmas = []
     for length_mm in (2.0, 10.0, 40.0):
         stations = np.arange(0.0, length_mm, 1.0)
         displacements, variances = np.zeros((len(stations), 2)), np.full((len(stations), 2), 0.03**2)
-        sigmas.append(history_of(stations, displacements, variances).line_at(length_mm)[0].slope_sigma)
+        sigmas.append(history_of(stations, displacements, variances).point_at(length_mm).slope_sigma[0])
     assert SLOPE_SIGMA > sigmas[0] > sigmas[1] > sigmas[2]
     assert sigmas[1] < 0.5 * SLOPE_SIGMA
 

@@ -87,9 +87,10 @@ def test_the_expected_seam_is_where_the_history_meets_the_sheet(name: str) -> No
     ahead_mm = float(transform(scene.T_joint_tool, setup.laser.point_mm)[0])
     (y, z), _ = history.at(ahead_mm)
     met = locate(source, T, scene, float(y), float(z) + seam_height_mm(setup.joint))
-    twin, twin_sigma_mm = history.line_at(met.station_mm)
-    assert tuple(expected.line) == pytest.approx(tuple(twin))
-    assert expected.sigma_mm == pytest.approx(tuple(twin_sigma_mm))
+    twin = history.point_at(met.station_mm)
+    place = twin.displacement_mm, twin.slope, max(twin.slope_sigma)
+    assert tuple(expected.line) == pytest.approx((met.station_mm, *np.hstack(place)))
+    assert expected.sigma_mm == pytest.approx(twin.sigma_mm)
 
 
 @pytest.mark.parametrize("name", JOINTS)

@@ -92,11 +92,7 @@ def expected_line(
     # The plane may be tilted: it cuts the root of a groove elsewhere than the plate.
     point = seam_point(source, T_joint_tool, corrugation, y_mm, z_mm + source.height_mm)
     station = moved_by(T_joint_tool, point)[0]
-    there = source.seam_at(history, station)
-    (slope_y, slope_z), (lean_y, lean_z) = there.slope, source.lean(segment, station)
-    slopes = slope_y + lean_y, slope_z + lean_z
-    line = SeamLine(station, *there.displacement_mm, *slopes, max(there.slope_sigma))
-    return line, there.sigma_mm
+    return source.line_at(history, segment, station)
 
 
 class ExpectedSeam(NamedTuple):

@@ -28,7 +28,6 @@ import numpy as np
 from noise_model.compiled.arrays import Float64
 from noise_model.compiled.kernel import kernel
 from noise_model.compiled.ordering import stable_order
-from noise_model.surface.joint import SeamLine
 from tracker.seam.line_directions import STRAIGHT, TURN_OVER_MM, LineDirections
 
 CAPACITY = 96
@@ -106,12 +105,6 @@ class SeamHistory(NamedTuple):
     def is_measured(self, station_mm: float) -> bool:
         """Return True if a station lies within the measured stretch."""
         return self.n > 0 and bool(self.stations_mm.min() <= station_mm <= self.stations_mm.max())
-
-    def line_at(self, station_mm: float) -> tuple[SeamLine, Float64]:
-        """Return the seam as a straight stretch about a station, and the 1 sigma (2,) of its y and z, mm."""
-        here = self.point_at(station_mm)
-        line = SeamLine(station_mm, *here.displacement_mm, *here.slope, max(here.slope_sigma))
-        return line, np.array(here.sigma_mm)
 
     def at(self, station_mm: float) -> tuple[Float64, Float64]:
         """Return the displacement (2,) as (y, z), mm, and its 1 sigma (2,) at a station."""

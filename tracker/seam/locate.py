@@ -17,7 +17,7 @@ from noise_model.compiled.kernel import kernel
 from noise_model.instrument.laser import Sheet, sheet_in_tool, tangent_plane
 from noise_model.setup import Setup
 from noise_model.surface.faces import ridge
-from noise_model.surface.joint import crossed_segment, nearest_segment, seam_height_mm, section
+from noise_model.surface.joint import SeamLine, crossed_segment, nearest_segment, seam_height_mm, section
 from noise_model.transforms import invert, transform
 from tracker.seam.gaussian_process import WIDE_SIGMA_MM, SeamHistory, SeamPrediction, condition
 from tracker.seam.joint_ends import nominal_ends
@@ -86,6 +86,16 @@ class SeamSource(NamedTuple):
         """Return the seam at a station as a history's measurements leave it."""
         seam: SeamPrediction = condition(history, self.line, float(station_mm))
         return seam
+
+    def line_at(
+        self, history: SeamHistory, segment: int, station_mm: float
+    ) -> tuple[SeamLine, tuple[float, float]]:
+        """Return the seam as a straight stretch about a station of a segment, and 1 sigma of y and z, mm."""
+        there = self.seam_at(history, station_mm)
+        (slope_y, slope_z), (lean_y, lean_z) = there.slope, self.lean(segment, station_mm)
+        slopes = slope_y + lean_y, slope_z + lean_z
+        line = SeamLine(float(station_mm), *there.displacement_mm, *slopes, max(there.slope_sigma))
+        return line, there.sigma_mm
 
     def turn_mm(self, station_mm: float, crossing: float) -> float:
         """Return 1 sigma of a section that is straightened by a seam's turn, mm; 0 where it turns evenly.

@@ -246,7 +246,8 @@ def history_picture(explanation: Explanation, look: StepObservation) -> str:
     marks = [torch, look.reading.seam.station_mm, *history.stations_mm]
     # Places along the path at which the history is drawn.
     stations = np.linspace(min(marks) - 4.0, max(marks) + 4.0, 160)
-    told = [history.at(float(station)) for station in stations]
+    source = explanation.geometry.seam_source
+    told = [source.seam_at(history, float(station))[:2] for station in stations]
     mean, sigma = (np.array([pair[n] for pair in told]) for n in (0, 1))
     rows = figure.subplots(2, 1, sharex=True)
     for axis, (axes, name) in enumerate(zip(rows, ("y, to the left", "z, up"), strict=True)):
