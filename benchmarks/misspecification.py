@@ -55,10 +55,8 @@ from noise_model.compiled.arrays import Float32, Float64
 from sim_to_real.data.binned import observe, variances_dn2
 from sim_to_real.evidence.coordinates import free_terms
 from sim_to_real.evidence.error_model import (
-    HAND_EYE,
     LinearHypothesis,
     compared_bins,
-    hand_eye_tolerance,
     sampling_error,
     smooth_error,
 )
@@ -66,7 +64,6 @@ from sim_to_real.evidence.policy import POLICY
 from sim_to_real.fit.covariates import Covariates, covariates
 from sim_to_real.fit.gauss_newton import Refit, refit
 from sim_to_real.fit.linearized_model import LinearizedModel
-from sim_to_real.search.score_test import score_effects
 from validation.blind_check.blind_check import RECORDINGS, RESULTS, SEALED, cases
 from validation.blind_check.case import Case
 from validation.blind_check.files import SealedFile, read_check_file
@@ -150,10 +147,6 @@ def nominal_of(path: Path) -> tuple[Nominal, dict[str, Summary]]:
     linear = LinearHypothesis.of(fitted)
     tolerance = recording.setup.tolerance
     errors = [smooth_error(chosen, POLICY), sampling_error(model, chosen, fitted)]
-    errors += [
-        hand_eye_tolerance(score, recording.setup.calibration_errors)
-        for score in score_effects(model, fitted, [HAND_EYE])
-    ]
     columns = np.hstack([linear.columns.changes, *errors])
     shares = noise_shares(model, fitted)
     single = (values.astype(np.float32) for values in (linear.residuals, columns, *shares))

@@ -34,6 +34,9 @@ FILL_TOLERANCE, FILL_FLOOR, FILL_SAMPLE = 3e-4, 1e-4, 101
 That is as closely as the pixels' own integrals are taken.
 """
 
+FILL_PIXELS = 4000
+"""So many pixels take as long one by one as the filling of a stretch's box, which may hold few of its own."""
+
 WITHIN_PIXEL_PX: Float64 = np.array([(i + 0.5, 7 * i % 16 + 0.5) for i in range(16)]) / 16.0 - 0.5
 """Points (16, 2) of a pixel, px off its centre, each in a row and a column of its own: a lattice rule."""
 
@@ -88,7 +91,7 @@ class Layers:
     def arc_e(self) -> Float32:
         """The arc's light (...,), e- for `camera.exposure_s`, at its nominal output; 0 past the workpiece."""
         bent = self.bent
-        if not bent.is_frame:
+        if not bent.is_frame or bent.which.size < FILL_PIXELS * len(bent.scenes):
             return bent.arc_e()
         light = np.empty(bent.which.size, dtype=np.float32)
         for n in np.unique(bent.which).tolist():

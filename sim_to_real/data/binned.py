@@ -17,6 +17,7 @@ from noise_model.forward import Layers, Renderer
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.sensor import linearise, respond_moments, saturation_dn
 from noise_model.setup import Setup
+from noise_model.transforms import moved
 from sim_to_real.data.blocks import DETAIL_2X2, block_means, dilate, near_face_edges, weighted_sums_in_bins
 from tracker.seam.curve import SeamCurve
 from tracker.seam_observations import TRIANGULATION_EFFECTS, SeamObservations
@@ -97,8 +98,9 @@ class ObservedFrame:
 class ObservedRecording:
     """A recording's frames, and its seam as the tracker found it by `seam_observations`.
 
-    `setup` is as stated, `binned` the same with a camera of `bin_px` wide bins. `is_metal_fitted` is True
-    where the setup states no metal and that of the stripe was fitted.
+    The first six modes of the `seam` are those of the camera's pose. `setup` is as stated, `binned` the same
+    with a camera of `bin_px` wide bins. `is_metal_fitted` is True where the setup states no metal and that of
+    the stripe was fitted.
     """
 
     setup: Setup
@@ -179,9 +181,9 @@ def observe_along(
     ]
     ends_mm = np.min(stations_mm), np.max(stations_mm)
     has_ridges = setup.joint.has_ridges
-    seam = SeamCurve.of(
-        *seam_observations.in_joint(setup), seam_observations.variances_mm2, ends_mm, has_ridges
-    )
+    seen = seam_observations.in_joint(setup)
+    seam = SeamCurve.of(*seen, seam_observations.variances_mm2, ends_mm, has_ridges)
+    seam = seam.with_modes(_modes_by_camera(setup, seam, seam_observations))
     # Some 160 bins across the image resolve light and stripe; bins of 2 px or more show their pixels'
     # scatter.
     bin_px = max(2, round(setup.camera.width / 160))
@@ -221,6 +223,20 @@ def observe_along(
         observed(n, *of_frame) for n, of_frame in enumerate(zip(posed, poses, usable, strict=True))
     )
     return ObservedRecording(setup, binned, bin_px, seam, seam_observations, frames)
+
+
+def _modes_by_camera(setup: Setup, seam: SeamCurve, seam_observations: SeamObservations) -> Float64:
+    """Return the change (6, 2, g) of the seam's course with the camera's pose, mm per deg and mm per mm.
+
+    Its observations are points of the image: they go where the camera says.
+    """
+    step, modes = 1e-3, []
+    for along in step * np.eye(6):
+        T_tool_camera = moved(setup.camera.T_tool_camera, along[:3], along[3:])
+        there = replace(setup, camera=replace(setup.camera, T_tool_camera=T_tool_camera))
+        curve = seam.through(*seam_observations.in_joint(there), seam_observations.variances_mm2)
+        modes.append((curve.mean_mm - seam.mean_mm) / step)
+    return np.array(modes)
 
 
 def stated_condition(setup: Setup, frame: Frame, first_s: float) -> Condition:

@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 
 from noise_model.compiled.arrays import Bool, Float32, Float64, Integers
+from noise_model.condition import Condition
 from noise_model.effects import Effects, apply_setup_effects
 from noise_model.forward import Prediction, Renderer, predict
-from noise_model.instrument.sensor import saturation_dn
+from noise_model.instrument.sensor import respond, saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, ObservedFrame, ObservedRecording
 from sim_to_real.data.blocks import dilate, in_blocks, near_face_edges
@@ -88,6 +89,8 @@ def _predict(
     seam = model.renderings.seam(frame, fitted.nuisance, fitted.effects)
     condition = apply_levels(frame.condition, fitted.nuisance)
     prediction = predict(stated, pose, condition, seam=seam, renderer=renderer)
+    bend_dn2 = _bend_variance_dn2(model, frame, fitted, prediction, stated, condition)
+    prediction = replace(prediction, variance_dn2=prediction.variance_dn2 + bend_dn2)
     if FLICKER not in fitted.ids or condition.arc_level == 0.0:
         return prediction
 
@@ -96,6 +99,28 @@ def _predict(
         return predict(stated, pose, lit, seam=seam, renderer=renderer)
 
     return _with_own_level(frame.image_dn, predict_at)
+
+
+def _bend_variance_dn2(
+    model: LinearizedModel,
+    frame: ObservedFrame,
+    fitted: Refit,
+    prediction: Prediction,
+    stated: Setup,
+    condition: Condition,
+) -> Float64:
+    """Return the variance (H, W) of the arc's light past edges that bend, as in the fit."""
+    spread_e = model.bend_spread_e(frame, np.arange(frame.keep.size), fitted.nuisance, fitted.effects)
+    # A pixel at the rim that fills no bin takes that of the last one.
+    last = [n - 1 for n in frame.keep.shape]
+    rows, columns = (
+        np.minimum(np.arange(n) // model.observed.bin_px, n_bins)
+        for n, n_bins in zip(prediction.mean_e.shape, last, strict=True)
+    )
+    of_pixels_e = spread_e.reshape(frame.keep.shape)[np.ix_(rows, columns)]
+    level = condition.arc_level * condition.exposure_s / stated.camera.exposure_s
+    step_dn = respond(prediction.mean_e + 1.0, stated.sensor) - respond(prediction.mean_e, stated.sensor)
+    return np.square(level * step_dn * of_pixels_e)
 
 
 def _with_own_level(recorded: Integers, predict_at: Callable[[float], Prediction]) -> Prediction:

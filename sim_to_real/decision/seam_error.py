@@ -10,7 +10,7 @@ from noise_model.setup import Setup
 from sim_to_real.data.binned import PoseAt
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import INTERREFLECTION, LinearizedModel
-from sim_to_real.fit.nuisances import SEAM_FROM, apply_nuisances
+from sim_to_real.fit.nuisances import N_LEVELS, apply_nuisances
 from tracker.state import Frame
 from tracker.tracker import Tracker
 
@@ -48,7 +48,7 @@ def _seam_error_mm(
     if history.n == 0:
         return float("nan")
     seam = model.renderings.seam_curve(best.effects)
-    y_z, _ = seam.evaluate(best.nuisance[SEAM_FROM:])
+    y_z, _ = seam.evaluate(best.nuisance[N_LEVELS:])
     true = np.column_stack(
         [np.interp(history.stations_mm, seam.stations_mm, displacement) for displacement in y_z]
     )

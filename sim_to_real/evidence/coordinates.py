@@ -15,7 +15,6 @@ import numpy as np
 from noise_model.compiled.arrays import Bool, Float32, Float64
 from noise_model.effects.effect import Stage
 from sim_to_real.fit.covariates import Covariates
-from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM
 
 IN_EACH_FRAME = "arc in each frame"
 """The free term that stands for an arc that flickers."""
@@ -186,7 +185,7 @@ def _added_light(covariates: Covariates, size: Float32) -> Float32:
 
 def _displacements(covariates: Covariates) -> list[_FreeColumns]:
     """Return displacements by the camera's pose and distortion, and in each frame, as of a wrong clock."""
-    pose = covariates.tangents[:, N_LEVELS:SEAM_FROM]
+    pose = covariates.by_camera
     values = covariates.values
     reach = max(float(np.max(np.abs(values["column"]), initial=1.0)), 1.0)
     x = (values["column"] - np.mean(values["column"])) / reach

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from noise_model.calibration_errors import CalibrationCovariance
 from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.effects import REGISTRY
 from noise_model.effects.effect import Stage
@@ -36,9 +35,6 @@ from sim_to_real.fit.covariates import Covariates
 from sim_to_real.fit.gauss_newton import Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.search.score_test import ScoreTest
-
-HAND_EYE = "hand_eye"
-"""The effect that the setup's tolerance is about."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +145,6 @@ class ErrorModel:
         floor = [
             smooth_error(covariates, policy),
             sampling_error(model, covariates, start),
-            *(hand_eye_tolerance(score, model.observed.setup.calibration_errors) for score in scores),
         ]
         at_start = LinearHypothesis.of(start)
         every = np.hstack([at_start.columns.changes, *floor, *terms.columns, *effects], dtype=np.float32)
@@ -283,21 +278,6 @@ def _negligible(columns: Float32, policy: Policy) -> Float32:
     return np.asarray(columns * sizes / math.sqrt(columns.shape[1]), dtype=np.float32)
 
 
-def hand_eye_tolerance(score: ScoreTest, covariance: CalibrationCovariance) -> Float32:
-    """Return the columns (n, k) of a camera pose within its tolerance; none for other effects.
-
-    It moves where the tracker sees the seam, too, which the pose among the nuisances does not.
-    """
-    if score.id != HAND_EYE:
-        return np.zeros((len(score.signature), 0), dtype=np.float32)
-    parameters = REGISTRY[HAND_EYE].parameters
-    within = covariance.sigmas([parameter.name for parameter in parameters])
-    sizes = within / [parameter.prior_sigma for parameter in parameters]
-    per_sigma = SizeColumns.along_probes(score).changes
-    moved = np.argmax(np.abs(score.steps), axis=1)
-    return np.asarray(per_sigma * sizes[moved], dtype=np.float32)
-
-
 def _fourth_differences_dn(model: LinearizedModel, start: Refit) -> Float64:
     """Return the fourth difference of the laser's light between bins (n,), DN, of all frames' bins."""
     fourth_e = model.laser_fourth_differences(start.nuisance)
@@ -323,20 +303,22 @@ def sampling_error(model: LinearizedModel, covariates: Covariates, start: Refit)
 
 
 def smooth_error(covariates: Covariates, policy: Policy) -> Float32:
-    """Return the columns (n, k) of the model's own error over the image and from frame to frame."""
+    """Return the columns (n, k) of the model's own error over the image, the faces and the frames."""
     per_dn = 1.0 / covariates.sigma_dn
     sources = [covariates.arc_dn * per_dn, covariates.laser_dn * per_dn]
     rows, columns = covariates.values["row"], covariates.values["column"]
     image = hats_2d(rows, columns, 6, 7)
     in_frame = frame_indicators(covariates)
+    on_face = covariates.face[:, np.newaxis] == np.unique(covariates.face)
     tilts = [_centre(rows), _centre(columns)]
     over_image = [policy.image_rel * image * source[:, np.newaxis] for source in sources]
+    over_faces = [policy.face_rel * on_face * source[:, np.newaxis] for source in sources]
     over_frames = [
         policy.frame_rel * in_frame * (tilt * source)[:, np.newaxis]
         for source in sources
         for tilt in (np.ones_like(source), *tilts)
     ]
-    return np.hstack([*over_image, *over_frames]).astype(np.float32)
+    return np.hstack([*over_image, *over_faces, *over_frames]).astype(np.float32)
 
 
 def _centre(values: Float32) -> Float32:

@@ -16,6 +16,8 @@ class Policy:
     - `image_rel`, `frame_rel`: 1 sigma of the model's own smooth error over the image and from frame to
       frame, as a share of the light. Against a path tracer the model's blocks are off by up to 0.8 %:
       docs/research/path_tracer.md.
+    - `face_rel`: 1 sigma of what a face of the joint reflects, as a share of its light. A groove's walls are
+      cut and its plates rolled: a metal's stated reflectance is not that of each.
     - `tail_dof`: degrees of freedom of Student's distribution, from which robust weights come. Chosen between
       few, which give outliers little weight, and a normal distribution (Lange, Little and Taylor 1989, J. Am.
       Stat. Assoc. 84, 881).
@@ -44,6 +46,7 @@ class Policy:
     negligible_rms: float = 0.1
     image_rel: float = 0.004
     frame_rel: float = 0.003
+    face_rel: float = 0.01
     tail_dof: float = 6.0
     n_bins: int = 9000
     max_ripple: float = 1.0

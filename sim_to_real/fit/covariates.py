@@ -56,8 +56,8 @@ class Covariates:
     `values` are the covariates by name, see `UNITS`; `frame` is the frame's position, `bins` the place in the
     flattened frame of bins `shape` (h, w), `stratum` an index into `STRATA`; `sigma_dn` the noise. `arc_dn`,
     `laser_dn` and `predicted_dn` are the predicted light of the sources and the predicted mean, DN;
-    `part_mm` (n, 2) is the place on the part, along the seam and to its left, NaN past it.
-    `tangents` (n, p) are the changes of the whitened prediction with the nuisances.
+    `part_mm` (n, 2) is the place on the part, along the seam and to its left, NaN past it, on a `face`.
+    `by_camera` (n, 6) are the changes of the whitened prediction with the camera's pose.
     """
 
     shape: tuple[int, int]
@@ -71,7 +71,8 @@ class Covariates:
     laser_dn: Float32
     predicted_dn: Float32
     part_mm: Float32
-    tangents: Float32
+    face: Int32
+    by_camera: Float32
 
     @property
     def light_dn(self) -> Float32:
@@ -125,6 +126,7 @@ def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
                 "laser_dn": dn_per_e * light.laser_e,
                 "predicted_dn": predicted_dn,
                 "part_mm": view.surface[0][:, :2],
+                "face": view.faces,
             }
         )
 
@@ -143,7 +145,8 @@ def covariates(model: LinearizedModel, fit: Refit) -> Covariates:
         laser_dn=joined("laser_dn"),
         predicted_dn=joined("predicted_dn"),
         part_mm=joined("part_mm"),
-        tangents=-fit.jacobian[:, : len(anchor)].astype(np.float32),
+        face=joined("face", np.int32),
+        by_camera=model.camera_columns(fit.lights).astype(np.float32),
     )
 
 

@@ -25,7 +25,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam
 from sim_to_real.data.binned import ObservedFrame, ObservedRecording, shows_one_face
 from sim_to_real.fit.frame_light import FrameLight, PredictedBins, Rendering, light_factor
-from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, apply_levels, nuisances
+from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, apply_levels, nuisances
 from sim_to_real.fit.renderings import Renderings
 from sim_to_real.fit.tangents import Tangents, tangents_at
 from sim_to_real.fit.trend import Trend, effects_in_frame
@@ -118,28 +118,37 @@ class LinearizedModel:
     def _with_bend(
         self, frame: ObservedFrame, light: FrameLight, nuisance: Float64, effects: Effects
     ) -> Float64:
+        spread_e = light.arc_factor * self.bend_spread_e(frame, frame.bins, nuisance, effects)
+        return np.asarray(np.hypot(frame.sigma_dn, light.dn_per_e() * spread_e))
+
+    def bend_spread_e(
+        self, frame: ObservedFrame, bins: Int64, nuisance: Float64, effects: Effects
+    ) -> Float32:
+        """Return 1 sigma (n,) of the arc's light in bins (n,) that it reaches past edges that bend.
+
+        See `widen_noise_for_bends`.
+        """
         first, last, torch = frame.stations_mm
         curve = self.renderings.seam_curve(effects)
         # A gap may have bent the fitted seam further.
-        coefficients = np.clip(nuisance[SEAM_FROM:], -2.0, 2.0)
+        coefficients = np.clip(nuisance[N_LEVELS:], -2.0, 2.0)
         deviation_mm = curve.chord_deviation_mm(coefficients, 0.5 * (first + last), torch)
         # A seam nearer to its chord counts as straight.
         if deviation_mm < 0.03 or frame.condition.arc_level == 0.0:
-            return frame.sigma_dn
+            return np.zeros(len(bins), dtype=np.float32)
         true = apply_setup_effects(self.renderings.setup(effects, nuisance))
         seam = self.renderings.seam(frame, nuisance, effects)
         arc_e = [
             self.renderings.view(
                 [frame],
-                [frame.bins],
+                [bins],
                 true,
                 [BentSeam(seam.lines, seam.ground._replace(y_mm=seam.ground.y_mm + offset_mm))],
             ).arc_e()
             for offset_mm in (0.0, 2.0 * deviation_mm, -2.0 * deviation_mm)
         ]
         spread_e = 0.5 * np.maximum(np.abs(arc_e[1] - arc_e[0]), np.abs(arc_e[2] - arc_e[0]))
-        spread_dn = light.dn_per_e() * light.arc_factor * spread_e
-        return np.asarray(np.hypot(frame.sigma_dn, spread_dn))
+        return np.asarray(spread_e, dtype=np.float32)
 
     def over_frames(self, of_frame: Callable[[ObservedFrame], Result]) -> list[Result]:
         """Return a function's result for each frame, in order."""
@@ -202,12 +211,19 @@ class LinearizedModel:
             J = np.zeros((len(frame.sigma_dn), len(self.nuisances)))
             dn_per_e = light.dn_per_e()
             J[:, 0], J[:, 1], J[:, 2] = dn_per_e * light.arc_e, dn_per_e * light.laser_e, 1.0
-            if tangents.arc_e is not None:
-                J[:, N_LEVELS:] += (dn_per_e * light.arc_factor)[:, np.newaxis] * tangents.arc_e.T
-            if tangents.laser_e is not None:
-                J[:, N_LEVELS:] += (dn_per_e * light.laser_factor)[:, np.newaxis] * tangents.laser_e.T
+            J[:, N_LEVELS:] = tangents.by_nuisance.of_light(light, J.shape[1] - N_LEVELS)
             parts.append(J / -frame.sigma_dn[:, np.newaxis])
         return np.concatenate(parts)
+
+    def camera_columns(self, lights: Sequence[FrameLight]) -> Float64:
+        """Return the changes (n, 6) of the whitened prediction with the camera's pose, the seam at rest."""
+        assert self._tangents is not None
+        return np.concatenate(
+            [
+                tangents.by_camera.of_light(light, N_CAMERA) / frame.sigma_dn[:, np.newaxis]
+                for frame, light, tangents in zip(self.observed.frames, lights, self._tangents, strict=True)
+            ]
+        )
 
     def extrapolate(self, frame: ObservedFrame, light: FrameLight, by: Float64) -> FrameLight:
         """Return a frame's light extrapolated by (p,) from the nuisances at which it was rendered."""
@@ -217,7 +233,7 @@ class LinearizedModel:
         moving = by[N_LEVELS:].astype(np.float32)
         arc_e, laser_e = light.arc_e, light.laser_e
         if self._tangents is not None:
-            tangents = self._tangents[frame.position]
+            tangents = self._tangents[frame.position].by_nuisance
             if tangents.arc_e is not None:
                 arc_e = arc_e + light.arc_factor * (moving @ tangents.arc_e)
             if tangents.laser_e is not None:

@@ -16,7 +16,10 @@ WITHIN_SIGMAS = 4.0
 
 N_LEVELS, N_CAMERA = 3, 6
 SEAM_FROM = N_LEVELS + N_CAMERA
-"""The first nuisances are levels, then come those of the camera's pose and of the seam."""
+"""The first nuisances are levels, then come those of the camera's pose and of the seam.
+
+All but the levels are coefficients of the `SeamCurve`: where the camera is, there its image of the seam is.
+"""
 
 BIASED_MEAN_SQUARE = 10.0
 """Mean square of a fit without effects from which the gap has biased its nuisances."""
@@ -30,13 +33,14 @@ def nuisances(observed: ObservedRecording) -> tuple[Parameter, ...]:
     """
     tolerance = observed.setup.tolerance
     pose_sigmas = observed.setup.calibration_errors.sigmas(POSE).tolist()
+    n_own = observed.seam.n_modes - N_CAMERA
     # Finding the seam is daily work: it may lie 30 sigmas off the tracked one.
     return (
         _nuisance("arc_level_ln", "", tolerance.arc_level_rel, 1e-3),
         _nuisance("laser_level_ln", "", tolerance.laser_level_rel, 1e-3),
         _nuisance("black_dn", "DN", tolerance.black_level_dn, 0.01),
         *map(_nuisance, POSE, ["deg"] * 3 + ["mm"] * 3, pose_sigmas, [3e-4] * 3 + [5e-4] * 3),
-        *(Parameter(f"seam_{n}", "", 0.0, 1.0, -30.0, 30.0, 0.05) for n in range(observed.seam.n_modes)),
+        *(Parameter(f"seam_{n}", "", 0.0, 1.0, -30.0, 30.0, 0.05) for n in range(n_own)),
     )
 
 

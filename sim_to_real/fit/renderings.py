@@ -19,7 +19,7 @@ from noise_model.surface.joint import BentSeam
 from noise_model.view import View
 from sim_to_real.data.binned import ObservedFrame, ObservedRecording
 from sim_to_real.fit.frame_light import PredictedBins, Rendering, nearest_rendered
-from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, apply_nuisances
+from sim_to_real.fit.nuisances import N_LEVELS, apply_nuisances
 from tracker.seam.curve import SeamCurve
 from tracker.seam_observations import TRIANGULATION_EFFECTS
 
@@ -78,7 +78,7 @@ class Renderings:
 
     def seam(self, frame: ObservedFrame, nuisance: Float64, effects: Effects) -> BentSeam:
         """Return the seam that a frame sees as nuisances (p,) and effects say."""
-        coefficients = nuisance[SEAM_FROM:]
+        coefficients = nuisance[N_LEVELS:]
         key = (_tracked_with(effects), coefficients.tobytes(), frame.stations_mm)
         # Most of what is rendered anew has the seam of what was rendered before.
         seam = self._seams.get(key)

@@ -13,9 +13,9 @@ from noise_model.stripe import stripe_reference
 from noise_model.surface.joint import BentSeam, SeamLine
 from noise_model.view import View
 from sim_to_real.data.binned import ObservedFrame
+from sim_to_real.fit.frame_light import FrameLight
 from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, SEAM_FROM
 from sim_to_real.fit.renderings import Renderings, lit_by_arc, lit_by_laser
-from tracker.seam.curve import N_MODES
 
 SEAM_STEPS = (("y_mm", 5e-4), ("z_mm", 5e-4), ("slope_y", 1.5e-5), ("slope_z", 1.5e-5))
 """Steps of the derivatives with a seam's place and direction.
@@ -29,18 +29,41 @@ EDGE_SHARE, EDGE_E = 0.01, 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Tangents:
-    """Derivatives of the light of a frame's bins that count (n_moving, n), e-; None for a source off."""
+class LightSlopes:
+    """Derivatives of the light of a frame's bins that count (m, n), e-; None for a source off."""
 
     arc_e: Float32 | None
     laser_e: Float32 | None
 
-    def subset(self, chosen: Int64) -> "Tangents":
+    def subset(self, chosen: Int64) -> "LightSlopes":
         """Return those of some bins (k,)."""
         arc_e, laser_e = (
             every if every is None else every[:, chosen] for every in (self.arc_e, self.laser_e)
         )
-        return Tangents(arc_e, laser_e)
+        return LightSlopes(arc_e, laser_e)
+
+    def of_light(self, light: FrameLight, m: int) -> Float64:
+        """Return the derivatives (n, m) of the mean, DN, of light that has passed effects and lens."""
+        by_e = np.zeros((len(light.arc_e), m))
+        for slopes_e, factor in ((self.arc_e, light.arc_factor), (self.laser_e, light.laser_factor)):
+            if slopes_e is not None:
+                by_e += (factor * slopes_e).T
+        return light.dn_per_e()[:, np.newaxis] * by_e
+
+
+@dataclass(frozen=True, eq=False)
+class Tangents:
+    """Derivatives with the nuisances that move camera and seam, and with the camera's pose alone.
+
+    As a nuisance the camera takes the seam with it: what it saw in the image stays there.
+    """
+
+    by_nuisance: LightSlopes
+    by_camera: LightSlopes
+
+    def subset(self, chosen: Int64) -> "Tangents":
+        """Return those of some bins (k,)."""
+        return Tangents(self.by_nuisance.subset(chosen), self.by_camera.subset(chosen))
 
 
 Step = tuple[View, float]
@@ -110,13 +133,11 @@ class _Frames:
         torch_mm = np.array([frame.stations_mm[2] for frame in self.frames])
         by_mode = np.zeros((curve.n_modes, len(places_mm)), dtype=np.float32)
         for mode, change in enumerate(by_mode):
-            displacement, slope = curve.mode_at(mode, places_mm)
-            is_y = mode < N_MODES[0]
-            by_place, by_slope = (by_y, by_slope_y) if is_y else (by_z, by_slope_z)
-            change += displacement.astype(np.float32) * by_place + slope.astype(np.float32) * by_slope
+            moved, turned = (part.astype(np.float32) for part in curve.mode_at(mode, places_mm))
+            change += moved[0] * by_y + moved[1] * by_z + turned[0] * by_slope_y + turned[1] * by_slope_z
             if by_ground:
-                at_torch = np.repeat(curve.mode_at(mode, torch_mm)[0], self.counts * chosen)
-                change += at_torch.astype(np.float32) * by_ground[0 if is_y else 1]
+                at_torch = np.repeat(curve.mode_at(mode, torch_mm)[0], self.counts * chosen, axis=1)
+                change += np.sum(at_torch.astype(np.float32) * by_ground, axis=0)
         return by_mode
 
 
@@ -134,7 +155,10 @@ def tangents_at(
     further = moving.ground_steps() if is_lit.any() else []
     arc = _slopes(moving, is_lit, View.arc_e, [*steps, *further])
     laser = _slopes(moving, lit_by_laser(frames), _laser_e, steps)
-    return [Tangents(*parts) for parts in zip(arc, laser, strict=True)]
+    return [
+        Tangents(LightSlopes(arc_e, laser_e), LightSlopes(by_camera_arc_e, by_camera_laser_e))
+        for (arc_e, by_camera_arc_e), (laser_e, by_camera_laser_e) in zip(arc, laser, strict=True)
+    ]
 
 
 def _laser_e(view: View) -> Float32:
@@ -143,18 +167,22 @@ def _laser_e(view: View) -> Float32:
 
 def _slopes(
     moving: _Frames, chosen: Bool, light: Callable[[View], Float32], steps: Sequence[Step]
-) -> list[Float32 | None]:
-    """Return the derivatives (n_moving, n) of a source's light in each of the frames (f,) that it lights."""
+) -> list[tuple[Float32, Float32] | tuple[None, None]]:
+    """Return the derivatives of a source's light in each of the frames (f,) that it lights.
+
+    They are those with the nuisances (n_moving, n), and those with the camera's pose alone (6, n).
+    """
     bins = np.repeat(chosen, moving.counts)
     if not bins.any():
-        return [
-            np.zeros((len(moving.anchor) - N_LEVELS, 0), dtype=np.float32) if lit else None for lit in chosen
-        ]
+        none = [np.zeros((n, 0), dtype=np.float32) for n in (len(moving.anchor) - N_LEVELS, N_CAMERA)]
+        return [(none[0], none[1]) if lit else (None, None) for lit in chosen]
     here_e = light(moving.here.subset(bins))
     by_step = [_slope(here_e, light(view.subset(bins)), length) for view, length in steps]
-    every = np.concatenate([by_step[:N_CAMERA], moving.along_modes(chosen, by_step[N_CAMERA:])])
-    parts = iter(np.split(every, np.cumsum(np.compress(chosen, moving.counts))[:-1], axis=1))
-    return [np.ascontiguousarray(next(parts)) if lit else None for lit in chosen]
+    by_camera, every = np.stack(by_step[:N_CAMERA]), moving.along_modes(chosen, by_step[N_CAMERA:])
+    every[:N_CAMERA] += by_camera
+    ends = np.cumsum(np.compress(chosen, moving.counts))[:-1]
+    parts = zip(np.split(every, ends, axis=1), np.split(by_camera, ends, axis=1), strict=True)
+    return [next(parts) if lit else (None, None) for lit in chosen]
 
 
 def _moved(line: SeamLine, name: str, by: float) -> SeamLine:

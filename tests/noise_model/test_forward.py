@@ -16,7 +16,7 @@ from noise_model.forward import FILL_TOLERANCE, Renderer, draw_frame, predict
 from noise_model.instrument.camera import Camera, Rays
 from noise_model.stripe import check_stripe, reflected_sheet, stripe_reference
 from noise_model.surface.brdf import Lobe
-from noise_model.surface.joint import NOMINAL_SEAM, SeamLine
+from noise_model.surface.joint import NOMINAL_SEAM, BentSeam, SeamLine
 from noise_model.transforms import invert, moved
 from noise_model.view import View
 
@@ -352,6 +352,14 @@ def test_some_pixels_are_those_of_the_frame():
         assert np.mean(off < FILL_TOLERANCE) > 0.97
         # A ridge's shadow is read off a coarse cell.
         assert off.max() < 10.0 * FILL_TOLERANCE
+
+
+def test_a_frame_of_many_short_stretches_is_that_of_one():
+    """Short stretches are not filled but seen pixel by pixel."""
+    setup = scenes.setup("v_groove", of_camera=sharp())
+    many = BentSeam.in_stretches(SeamLine, (-100.0, 200.0), 0.0, 40)
+    one, other = (Renderer().layers(setup, TURNED, seam).arc_e for seam in (NOMINAL_SEAM, many))
+    np.testing.assert_allclose(other, one, rtol=3.0 * FILL_TOLERANCE)
 
 
 def test_the_arc_is_the_arc_maps():

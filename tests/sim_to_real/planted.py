@@ -47,5 +47,6 @@ def planted(n_frames=24, shape=(24, 32), seed=0):
         laser_dn.astype(np.float32),
         values["gray_level"].astype(np.float32),
         np.column_stack([row + 0.8 * frame, column]).astype(np.float32),
-        np.zeros((len(frame), 9), dtype=np.float32),
+        np.zeros(len(frame), dtype=np.int32),
+        np.zeros((len(frame), 6), dtype=np.float32),
     )

@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 
 from noise_model.surface.joint import Joint, section
+from sim_to_real.evidence.error_model import smooth_error
+from sim_to_real.evidence.policy import POLICY
 from sim_to_real.fit.covariates import concavity, covariates
 from sim_to_real.fit.gauss_newton import refit
 from tests.sim_to_real.small import small_recording
@@ -118,3 +120,13 @@ def test_beside_a_lap_the_wall_hides_its_form_factor():
     # A wall h high beside a point d away: (1 - d / sqrt(d^2 + h^2)) / 2.
     assert below == pytest.approx([0.5 * (1.0 - 3.0 / np.hypot(3.0, 2.0))], abs=1e-6)
     assert above == pytest.approx([0.0], abs=1e-12)
+
+
+@pytest.mark.slow
+def test_a_face_that_reflects_more_than_stated_is_the_model_s_own_error(nominal):
+    _, values = nominal
+    columns = smooth_error(values, POLICY).astype(np.float64)
+    for face in np.unique(values.face):
+        brighter = POLICY.face_rel * np.where(values.face == face, values.arc_dn / values.sigma_dn, 0.0)
+        size, *_ = np.linalg.lstsq(columns, brighter, rcond=None)
+        np.testing.assert_allclose(columns @ size, brighter, atol=1e-3 * brighter.max(initial=1e-9))

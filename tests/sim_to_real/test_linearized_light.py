@@ -9,11 +9,11 @@ import pytest
 from noise_model.effects import REGISTRY, apply_setup_effects
 from noise_model.forward import look
 from noise_model.surface.joint import BentSeam, SeamLine
-from sim_to_real.data.binned import stated_condition
+from sim_to_real.data.binned import observe, stated_condition
 from sim_to_real.fit.linearized_model import LinearizedModel
-from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM
+from sim_to_real.fit.nuisances import N_LEVELS, SEAM_FROM, apply_nuisances
 from sim_to_real.fit.tangents import EDGE_E, EDGE_SHARE
-from tests.sim_to_real.small import of_stratum, small_recording
+from tests.sim_to_real.small import held_against, of_stratum, recorded, small_recording
 from tracker.state import Frame
 
 
@@ -40,17 +40,48 @@ def test_derivatives_foretell_what_is_rendered_after_a_small_move(expected):
 def test_no_derivative_is_that_of_an_edge(expected):
     steps = np.array([[nuisance.step] for nuisance in expected.nuisances[N_LEVELS:SEAM_FROM]])
     for frame, tangents in zip(expected.observed.frames, expected._tangents, strict=True):
-        if tangents.laser_e is not None and frame.condition.arc_level == 0.0:
+        if tangents.by_camera.laser_e is not None and frame.condition.arc_level == 0.0:
             light = expected.lights(expected.neutral, {})[frame.position].laser_e
-            by_step = np.abs(tangents.laser_e[:6]) * steps
+            by_step = np.abs(tangents.by_camera.laser_e) * steps
             assert (by_step <= 2.0 * EDGE_SHARE * light + 2.0 * EDGE_E).all()
+
+
+def test_a_camera_that_moves_takes_along_what_it_saw_of_the_seam(tmp_path):
+    setup, frames, pose_at = recorded(tmp_path / "recording", {}, coarser=2)
+    observed = observe(setup, frames, pose_at)
+    model = LinearizedModel(observed)
+    moved = model.neutral.copy()
+    moved[N_LEVELS:SEAM_FROM] = 0.1, -0.1, 0.1, 0.2, 0.1, -0.1
+
+    def off_mm(seen_by, course_of):
+        stations, y_z = observed.seam_observations.in_joint(apply_nuisances(setup, seen_by))
+        curve = model.renderings.seam_curve({})
+        course = curve.evaluate(course_of[N_LEVELS:])[0]
+        return np.abs([np.interp(stations, curve.stations_mm, of_axis) for of_axis in course] - y_z.T).max()
+
+    assert off_mm(moved, moved) < off_mm(model.neutral, model.neutral) + 0.01
+    assert off_mm(moved, model.neutral) > 0.1
+
+
+def test_the_arc_s_light_is_uncertain_only_past_edges_that_bend(tmp_path):
+    setup, frames, pose_at = recorded(tmp_path / "recording", {})
+    lap = held_against(
+        replace(setup, joint=replace(setup.joint, type="lap", dimensions={"thickness_mm": 3.0})),
+        frames,
+        pose_at,
+    )
+    straight, bent = lap.neutral, lap.neutral.copy()
+    bent[SEAM_FROM + 2] = 2.0
+    frame = next(frame for frame in lap.observed.frames if frame.stratum == "arc")
+    assert not lap.bend_spread_e(frame, frame.bins, straight, {}).any()
+    assert lap.bend_spread_e(frame, frame.bins, bent, {}).max() > 0.0
 
 
 def test_bins_whose_neighbours_show_another_face_are_left_out(tmp_path):
     expected = small_recording(tmp_path / "recording", {})
     # The seam is moved to the side: edges lie where no mask has left them out.
     aside = expected.neutral.copy()
-    aside[-expected.observed.seam.n_modes] = 3.0
+    aside[SEAM_FROM] = 3.0
     expected.mask_edges(aside, {})
     n_out = 0
     for frame in expected.observed.frames:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tracker.seam.curve import MIN_STRETCHES, N_MODES, STRETCH_OFF_MM, SeamCurve
+from tracker.seam.curve import MIN_STRETCHES, STRETCH_TURN, SeamCurve
 
 
 def tracked(y_of, sigma_mm=0.01, has_ridges=False):
@@ -29,8 +29,7 @@ def test_the_curve_runs_through_what_was_tracked():
 
 def test_modes_are_small_where_the_seam_was_seen():
     curve = tracked(lambda station: 0.0)
-    spread = np.sqrt(np.sum(curve.modes_mm[: N_MODES[0]] ** 2, axis=0))
-    assert spread[curve.stations_mm == 45.0][0] < 0.5 * spread[curve.stations_mm == 0.0][0]
+    assert curve.sigma_mm(45.0)[0] < 0.5 * curve.sigma_mm(0.0)[0]
 
 
 def test_a_seam_that_was_never_seen_is_the_nominal_one_give_or_take():
@@ -47,9 +46,7 @@ def test_stretches_are_tangents_and_more_where_it_turns():
     assert len(straight.bent(none, 30.0, 60.0, 0.0).lines) == MIN_STRETCHES
     lines = bent.bent(none, 30.0, 60.0, 0.0).lines
     assert len(lines) > 2 * MIN_STRETCHES
-    # Where two stretches meet, their tangents are as near the parabola as they should be.
-    apart = 0.5 * (lines[1].station_mm - lines[0].station_mm)
-    assert 2e-3 * apart**2 <= 1.2 * STRETCH_OFF_MM
+    assert np.ptp([line.slope_y for line in lines]) <= STRETCH_TURN * (len(lines) + 1)
     # A fit that bends the seam further has as many: light would jump where their number changes.
     bends = np.full(bent.n_modes, 2.0)
     assert len(bent.bent(bends, 30.0, 60.0, 0.0).lines) == len(lines)
@@ -67,3 +64,15 @@ def test_it_strays_as_far_as_a_parabola_leaves_its_chord():
     curve = tracked(lambda station: 2e-3 * (station - 45.0) ** 2)
     strays = curve.chord_deviation_mm(np.zeros(curve.n_modes), 55.0, 35.0)
     assert strays == pytest.approx(2e-3 * 10.0**2, rel=0.05)
+
+
+def test_a_mode_of_its_own_moves_the_seam_by_its_coefficient():
+    curve = tracked(lambda station: 0.0)
+    lean = np.stack([0.1 * curve.stations_mm, np.full(len(curve.stations_mm), 0.5)])
+    coefficients = np.zeros(curve.n_modes + 1)
+    coefficients[0] = 2.0
+    moved, slope = curve.with_modes(lean[np.newaxis]).evaluate(coefficients)
+    np.testing.assert_allclose(moved - curve.mean_mm, 2.0 * lean)
+    np.testing.assert_allclose(
+        slope - np.gradient(curve.mean_mm, axis=1), [[0.2], [0.0]] + 0.0 * slope, atol=1e-12
+    )

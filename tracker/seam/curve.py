@@ -1,8 +1,8 @@
 """The seam of a recording as a curve: where the tracker found it, and how it may depart from that.
 
-What the tracker does not know of the seam is its posterior covariance along the stations, and what a wrong
-camera adds to it, a constant and a slope. Its Karhunen-Loeve modes, each with a coefficient of unit variance,
-are the fewest numbers that say how the seam really runs.
+What the tracker does not know of the seam is its posterior covariance along the stations. Its Karhunen-Loeve
+modes, each with a coefficient of unit variance, are the fewest numbers that say how the seam really runs. A
+wrong camera adds modes of its own, whose coefficients are the camera's errors.
 """
 
 from __future__ import annotations
@@ -24,15 +24,17 @@ BEND_MM, BEND_LENGTH_MM = (1.0, 0.02), 30.0
 Plates are straight: a height that bent between view and torch would look like the arc's.
 """
 
-SYSTEMATIC_MM, SYSTEMATIC_SLOPE = 0.3, 0.01
-"""1 sigma of the tracker's systematic error by the camera's pose: in offset and in slope."""
+SYSTEMATIC_MM, SYSTEMATIC_SLOPE = 0.05, 0.001
+"""1 sigma of the tracker's systematic error with the right camera: in offset and in slope."""
 
 N_MODES = (5, 3)
 """Modes of y and of z: a stripe would not show further ones."""
 
-STRETCH_OFF_MM, MIN_STRETCHES = 0.001, 3
-"""Largest distance of straight stretches from a seam where they meet, and their least number: a fit may bend
-it.
+STRETCH_TURN, MIN_STRETCHES = 0.0015, 3
+"""Change of slope from one straight stretch to the next, and their least number: a fit may bend the seam.
+
+Light that grazes a groove's walls at some 0.1 rad goes with the sine of that angle: half of a turn changes it
+by the model's floor, 0.6 %.
 """
 
 GRID_MM = 1.0
@@ -46,8 +48,8 @@ POINT_SCATTER_MM = 0.04
 class SeamCurve:
     """Displacement from the nominal line at `stations_mm` (g,), joint frame, mm.
 
-    `mean_mm` (2, g) as y and z, `modes_mm` (m, g) by which they change for one unit of a coefficient; those
-    of y come first, `MODES` of either. `has_ridges` says whether ridges run across it.
+    `mean_mm` (2, g) as y and z, `modes_mm` (m, 2, g) by which they change for one unit of a coefficient.
+    `has_ridges` says whether ridges run across it.
     """
 
     stations_mm: Float64
@@ -68,7 +70,8 @@ class SeamCurve:
         """Return the curve between two stations that fits the seam's observations.
 
         They are displacements (n, 2) as y and z at stations (n,), with their variances (n, 2). `systematic`
-        is 1 sigma, mm and mm/mm, of their common error, in position and in slope.
+        is 1 sigma, mm and mm/mm, of their common error, in position and in slope. Modes of y come first,
+        `N_MODES` of either.
         """
         stations = np.arange(ends_mm[0], ends_mm[1] + GRID_MM, GRID_MM)
         means, modes = [], []
@@ -80,7 +83,9 @@ class SeamCurve:
             largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(len(stations))]
             scaled = np.sqrt(np.maximum(values, 0.0)) * np.sign(largest) * vectors
             means.append(mean)
-            modes.append(scaled[:, ::-1].T[: N_MODES[axis]])
+            of_axis = np.zeros((N_MODES[axis], 2, len(stations)))
+            of_axis[:, axis] = scaled[:, ::-1].T[: N_MODES[axis]]
+            modes.append(of_axis)
         return cls(stations, np.array(means), np.concatenate(modes), has_ridges)
 
     def through(self, seen_mm: Float64, displacements_mm: Float64, variances_mm2: Float64) -> SeamCurve:
@@ -89,6 +94,10 @@ class SeamCurve:
         means = [_posterior(self.stations_mm, axis, *seen)[0] for axis in range(2)]
         return replace(self, mean_mm=np.array(means))
 
+    def with_modes(self, modes_mm: Float64) -> SeamCurve:
+        """Return the curve with further modes (k, 2, g) before its own."""
+        return replace(self, modes_mm=np.concatenate([modes_mm, self.modes_mm]))
+
     @property
     def n_modes(self) -> int:
         """The number of coefficients."""
@@ -96,20 +105,18 @@ class SeamCurve:
 
     def evaluate(self, coefficients: Float64) -> tuple[Float64, Float64]:
         """Return displacement and slope (2, g) for coefficients (m,)."""
-        n_y = N_MODES[0]
-        y = self.mean_mm[0] + coefficients[:n_y] @ self.modes_mm[:n_y]
-        z = self.mean_mm[1] + coefficients[n_y:] @ self.modes_mm[n_y:]
-        y_z = np.stack([y, z])
+        y_z = self.mean_mm + np.tensordot(coefficients, self.modes_mm, 1)
         return y_z, np.gradient(y_z, self.stations_mm, axis=1)
 
     def mode_at(self, mode: int, stations_mm: Float64) -> tuple[Float64, Float64]:
-        """Return displacement and slope (...,) of one mode, 0 to m - 1, at stations (...,)."""
+        """Return displacement and slope (2, ...) of one mode, 0 to m - 1, at stations (...,)."""
         values = self.modes_mm[mode]
-        slopes = np.gradient(values, self.stations_mm)
-        return (
-            np.interp(stations_mm, self.stations_mm, values),
-            np.interp(stations_mm, self.stations_mm, slopes),
-        )
+        slopes = np.gradient(values, self.stations_mm, axis=1)
+
+        def at(of_stations: Float64) -> Float64:
+            return np.stack([np.interp(stations_mm, self.stations_mm, of_axis) for of_axis in of_stations])
+
+        return at(values), at(slopes)
 
     def chord_deviation_mm(self, coefficients: Float64, station_mm: float, torch_mm: float) -> float:
         """Return the largest sideways distance of the seam from the chord between a station and the torch."""
@@ -130,16 +137,11 @@ class SeamCurve:
         return BentSeam.in_stretches(self.tangents(coefficients), (first_mm, last_mm), torch_mm, count)
 
     def _stretches(self, first_mm: float, last_mm: float) -> int:
-        """Return the number of stretches that show the mean.
-
-        A curve that turns evenly by t over a length l is off the tangents at the middles of n stretches by
-        t l / 8 n^2 where these meet.
-        """
+        """Return the number of stretches that show the mean."""
         mean = self.mean_mm[:, (self.stations_mm >= first_mm) & (self.stations_mm <= last_mm)]
         if mean.shape[1] < 2:
             return MIN_STRETCHES
-        turn = float(np.ptp(np.gradient(mean, GRID_MM, axis=1), axis=1).max())
-        count = math.ceil(math.sqrt(turn * (last_mm - first_mm) / (8.0 * STRETCH_OFF_MM)))
+        count = math.ceil(float(np.ptp(np.gradient(mean, GRID_MM, axis=1), axis=1).max()) / STRETCH_TURN)
         aside = math.ceil(float(np.ptp(mean[0])) / STRETCH_ASIDE_MM) if self.has_ridges else 0
         return max(count, aside, MIN_STRETCHES)
 
@@ -156,8 +158,8 @@ class SeamCurve:
 
     def sigma_mm(self, station_mm: float) -> Float64:
         """Return the 1 sigma (2,) of y and z at a station, mm, that the modes leave."""
-        values = [np.interp(station_mm, self.stations_mm, mode) for mode in self.modes_mm]
-        return np.sqrt([np.sum(np.square(part)) for part in (values[: N_MODES[0]], values[N_MODES[0] :])])
+        modes = [self.mode_at(n, np.array(station_mm))[0] for n in range(self.n_modes)]
+        return np.asarray(np.sqrt(np.sum(np.square(modes), axis=0)))
 
 
 def _middle(stations_mm: Float64) -> float:

@@ -53,7 +53,7 @@ def test_over_the_image_they_are_products():
 def test_every_stage_has_functions_for_forms_and_terms_for_the_unknown(covariates):
     forms, free = form_functions(covariates), free_terms(covariates)
     assert set(forms) == set(Stage)
-    # Planted frames have no tangents: neither a pose nor a clock changes them.
+    # Planted frames change with nothing: neither a pose nor a clock changes them.
     assert {term.stage for term in free.terms} == {*Stage, None} - {Stage.GEOMETRY, Stage.TIMING}
     # Two hats beside each other share a bin, powers of the field angle add up; a profile ends.
     for functions in (of_coordinate for of_stage in forms.values() for of_coordinate in of_stage):

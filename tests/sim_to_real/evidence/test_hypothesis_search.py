@@ -25,8 +25,8 @@ def test_a_narrow_stripe_that_lies_elsewhere_is_come_near_to(tmp_path):
     hidden = {"stripe_profile": {"width_ratio": 0.5, "exponent": 2.8}}
     model = small_recording(tmp_path / "narrow", hidden, coarser=3)
     nuisance = model.neutral.copy()
-    for n in (TURNED, ASIDE, LIFTED):
-        nuisance[n] = 3.5 * model.nuisances[n].prior_sigma
+    for n, tolerances in ((TURNED, 3.5), (ASIDE, -3.5), (LIFTED, 3.5)):
+        nuisance[n] = tolerances * model.nuisances[n].prior_sigma
     model = model.anchored_at(nuisance, {})
     start = refit(model, {}, nuisance, steps=0)
     scores = score_effects(model, start, ["stripe_profile", "defocus", "gamma"])
