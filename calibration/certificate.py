@@ -14,8 +14,6 @@ in base, q = T p. With the small motion of the tool by which a pose is off, a tu
     dq = T (dp + w x p + m).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -138,10 +136,7 @@ class Certificate:
 
 
 def covariance_shares(
-    known_lens: KnownLens,
-    sheet: KnownSheet,
-    hand_eye: KnownHandEye,
-    delay_sigma_mm: float = 0.0,
+    known_lens: KnownLens, sheet: KnownSheet, hand_eye: KnownHandEye, delay_sigma_mm: float = 0.0
 ) -> dict[str, CalibrationCovariance]:
     """Return each source's share in the covariance of a setup's values; shares add up.
 

@@ -1,7 +1,5 @@
 """Test of whether goniometer settings scatter about a fit as their repeats let expect (Fisher)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

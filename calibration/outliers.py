@@ -1,7 +1,5 @@
 """Policy of outliers among readings that should agree, for all calibrations."""
 
-from __future__ import annotations
-
 FALSE_ALARM = 0.01
 """The probability that readings which agree are taken not to, in a whole set."""
 

@@ -1,7 +1,5 @@
 """The noise of a reading: a constant part and one that grows with the signal, estimated from scatter."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

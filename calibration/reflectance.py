@@ -12,8 +12,6 @@ setting (angles, texture, slow drift), which the repeats of one setting never se
 of the settings' means about the model with Student's t.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Limits of goniometer readings: what they cannot determine, and why, one sentence each."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from calibration.goniometer import GreyResponse, Readings

@@ -8,8 +8,6 @@ has s albedo / pi instead of the bracket's first factor. Grey levels are compare
 read noise and rounding are additive; gamma is undone for the first guess and for pictures.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

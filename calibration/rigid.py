@@ -4,8 +4,6 @@ A motion is a twist (6,): a rotation vector about the frame's origin, rad, then 
 applied from the left: p -> R(rotation) p + translation.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,5 @@
 """A filter's measured curve from a CSV file: wavelength and transmission or optical density."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

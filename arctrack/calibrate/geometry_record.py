@@ -1,7 +1,5 @@
 """The joint covariance of a setup's calibrated values as recording.toml holds it."""
 
-from __future__ import annotations
-
 from arctrack.recording import CalibrationValues
 from arctrack.recording.setup_writer import CERTIFICATE, GEOMETRY
 from arctrack.recording.toml_text import rounded

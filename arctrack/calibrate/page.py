@@ -1,7 +1,5 @@
 """calibrate_*.html: one calibration on one self-contained page; each kind brings its rows and pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

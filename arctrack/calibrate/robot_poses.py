@@ -1,7 +1,5 @@
 """The robot's poses at a series of images, as a user states where they are and how they are written."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

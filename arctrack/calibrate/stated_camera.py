@@ -1,7 +1,5 @@
 """The camera that a setup states, for boards seen before it: its lens, and how well that is known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

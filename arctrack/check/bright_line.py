@@ -1,7 +1,5 @@
 """The bright line in a frame, found without any model of where it should be."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

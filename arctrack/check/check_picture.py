@@ -1,7 +1,5 @@
 """The picture of `arctrack check`: frames with the predicted stripe over them."""
 
-from __future__ import annotations
-
 import textwrap
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Does a recording fit its setup? Some frames are looked at; nothing is tracked from frame to frame."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -57,10 +55,7 @@ class CheckResult:
         return tuple(finding.warning for finding in self.findings if finding.warning is not None)
 
 
-def check_recording(
-    recording: Recording,
-    on_frame: Callable[[int], None] | None = None,
-) -> CheckResult:
+def check_recording(recording: Recording, on_frame: Callable[[int], None] | None = None) -> CheckResult:
     """Check a recording that was read without `must_fit`.
 
     `on_frame` is called with the number of frames examined.

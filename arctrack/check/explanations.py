@@ -10,8 +10,6 @@ of the frames the tracker reads. With p the cause's prior,
 known cause explains the case, and nowhere else.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence

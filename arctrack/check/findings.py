@@ -1,7 +1,5 @@
 """Measurements in some frames against what the setup states, with a warning where they differ."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass

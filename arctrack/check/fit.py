@@ -5,8 +5,6 @@ true seam may leave its nominal line by some millimetres, but equally in neighbo
 moves: what counts is the share of the points on a section that is displaced along a straight line.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Likeliest mistake in a recording, and its cure, in a line."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

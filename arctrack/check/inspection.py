@@ -1,7 +1,5 @@
 """The picture of `arctrack inspect`: a frame of each condition, and the robot's path."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Some frames of a recording as the tracker sees them, each by itself, with what is in their images."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

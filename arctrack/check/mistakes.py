@@ -1,7 +1,5 @@
 """Common mistakes in poses, frames and setup, each with how it is undone: hypotheses that can be tried."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Explanations of the keys that a check's lines name."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 

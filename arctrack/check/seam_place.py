@@ -1,7 +1,5 @@
 """Place of the seam relative to its nominal line: in numbers, in words, and whether it is sought there."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Black level and noise of a sensor where no light falls on it, from its darkest frames."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

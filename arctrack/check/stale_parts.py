@@ -1,7 +1,5 @@
 """Parts of a setup that are not as stated any more: by how much, the cure, and the case without it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

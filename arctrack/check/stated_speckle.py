@@ -8,8 +8,6 @@ A profile of sigma w averages 2 sqrt(pi) w pixels; their number over the sum of 
 scatter C.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Width, peak, saturation and speckle of a bright line, without any model."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

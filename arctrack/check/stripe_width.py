@@ -1,7 +1,5 @@
 """Width of the stripe against the stated one, and the setup that states the measured width."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Times, rates, speeds and exposures of a recording, without its images."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Numbers of a setup in m or rad where mm and degrees are due, found by tracking the frames without each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import fields, replace
 

@@ -1,7 +1,5 @@
 """Verdict of a run, in a line: offsets sent, valid frames, why not more, what most likely is wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

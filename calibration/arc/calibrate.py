@@ -7,8 +7,6 @@ parameter with too wide a sigma is refused: its stated value stays, with the sta
 are fitted again.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ They lie on a lattice over the image, off the stripe, off saturation and off the
 What a pixel holds is the mean over a block about it: noise is no matter there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -4,8 +4,6 @@ OpenCV finds the board, on the image as it is, inverted, stretched and equalised
 dark, dim, or unevenly lit. The corners are then located on the raw image, with unchanged grey levels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """The camera's calibration from corners to a lens with its covariance, and what speaks against it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,12 +10,7 @@ from scipy.stats import chi2
 from calibration.boards.board import Board
 from calibration.boards.detect import MIN_CORNERS
 from calibration.camera.adjustment import BoardScene, with_prior
-from calibration.camera.enough import (
-    UndeterminedError,
-    check_count,
-    check_cover,
-    check_focal_length,
-)
+from calibration.camera.enough import UndeterminedError, check_count, check_cover, check_focal_length
 from calibration.camera.halves import MAX_RATIO, Difference, difference_of_halves, splits
 from calibration.camera.lens import ORDERS, TILT
 from calibration.camera.next_board import NextBoard, best_next_board

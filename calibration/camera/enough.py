@@ -1,7 +1,5 @@
 """Do the images determine the lens? If not, which image is missing."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import ConvexHull
 

@@ -1,7 +1,5 @@
 """OpenCV's distortion fitted to that of another model of the same pinhole."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ the difference between their projections is compared with the sigma that both pr
 is no noise: the model is wrong (mrcal's documentation, "cross-validation").
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Boards before a lens that is known: the lens that a setup states, and the boards' poses before it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

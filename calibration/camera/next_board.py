@@ -1,7 +1,5 @@
 """Next pose of the board: the one that lowers the projection's variance over the image most."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 

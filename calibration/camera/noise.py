@@ -5,8 +5,6 @@ to some 7 % from a hundred corners, so it is shrunk towards the others as far as
 (Smyth, Linear models and empirical Bayes methods, 2004, section 6).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ u_i its pull and c_i its sum of squares, the others alone move lens and warp by 
     ds = -(S - S_i)^-1 u_i,   c_i - 2 u_i' ds + ds' S_i ds
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 

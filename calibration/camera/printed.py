@@ -10,8 +10,6 @@ o are the places so far, tau is 1 sigma of the print. Where l is 0 the board as 
 scaled: that is no error of the print.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.stats import chi2

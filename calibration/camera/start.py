@@ -4,8 +4,6 @@ Zhang's closed form has no answer where boards lie parallel to the sensor, and a
 spoils it. A scan has one: the focal length at which most boards fit, by the median of their residuals.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

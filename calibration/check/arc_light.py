@@ -10,8 +10,6 @@ left of a pixel, relative to the light there, is the error of the map's shape. B
 seam may wander: what that makes of each quantity is part of its sigma.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace

@@ -1,7 +1,5 @@
 """The laser sheet from a gauge at known poses of the robot, and a check of a sheet against a gauge."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ c is off by e, the least squares move x by -(J' C^-1 J)^-1 J' C^-1 (dd/dc) e. So
 wrong cancels in part at the seam.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

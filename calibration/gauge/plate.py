@@ -7,8 +7,6 @@ sheet and plate have a wide prior. The posterior's sigma over the prior's is wha
 (Gelman et al., Bayesian Data Analysis, 2013, section 4.3).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

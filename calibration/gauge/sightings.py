@@ -1,7 +1,5 @@
 """Assignment of the stripe's pieces to the gauge's faces, and an initial pose of the gauge."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The stripe on a gauge in an image: its path, and the straight pieces that it is made of."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

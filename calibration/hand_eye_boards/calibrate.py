@@ -1,7 +1,5 @@
 """The camera's pose on a robot, from the robot's poses and corners of a board in images."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ its noise are added, and so on until the set no longer changes. The better half 
 than it is: the median distance of all poses corrects this.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

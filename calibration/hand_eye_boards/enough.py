@@ -1,7 +1,5 @@
 """Do the robot's motions determine the camera's pose? If not, which motion is missing."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -10,8 +10,6 @@ M's place, and their axes begin as the least squares of R = exp(sum a_i d_i) R_0
 are linear in p and M's.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

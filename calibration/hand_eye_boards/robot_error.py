@@ -19,8 +19,6 @@ b is normal about 0 with sigmas that are estimated (`variances`). Each board is 
 give camera, board and b, with the sigmas of all, and predict its corners.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

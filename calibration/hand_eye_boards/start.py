@@ -4,8 +4,6 @@ OpenCV's five methods use all poses, and Park's many triples of them. Taken is t
 median board nearest to where it is seen. A wrong pair of image and pose spoils only some of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product

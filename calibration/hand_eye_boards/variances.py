@@ -24,8 +24,6 @@ Some of b may be coefficients of a repeatable error (`robot_error`), normal abou
 priors, one for each block of them, are estimated along with the robot's.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 
@@ -100,10 +98,7 @@ class PoseErrors:
 
     def parts(self) -> Float64:
         """Return the contribution (V, 2, 6, 6) to V of a unit of each of the robot's variances."""
-        return np.stack(
-            [columns @ columns.transpose(0, 2, 1) for columns in self._columns()],
-            axis=1,
-        )
+        return np.stack([columns @ columns.transpose(0, 2, 1) for columns in self._columns()], axis=1)
 
     def _columns(self) -> tuple[Float64, Float64]:
         return self.per_robot[:, :, TURN], self.per_robot[:, :, PLACE]

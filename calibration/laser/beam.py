@@ -4,8 +4,6 @@ Everything is taken to the tool frame by the setup's pose of the camera, in whic
 sheet's axis and its depth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -65,11 +63,7 @@ class Beam:
 
 
 def fit_beam(
-    result: LaserCalibration,
-    sections: Mapping[str, CrossSections],
-    lens: Lens,
-    camera: Camera,
-    laser: Laser,
+    result: LaserCalibration, sections: Mapping[str, CrossSections], lens: Lens, camera: Camera, laser: Laser
 ) -> Beam:
     """Determine thickness, origin and angle of a sheet whose place is known.
 

@@ -4,8 +4,6 @@ The bow is taken where the boards ask for it: each board is left out in turn, an
 bowed sheet of the others than to their plane, in the RMS over all; and the bow is sure.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -230,10 +228,7 @@ def _bowed_sheet(
 
 
 def _held_out_mm(
-    lines: Sequence[BoardLine],
-    points_mm: Sequence[Float64],
-    stand: LaserStand,
-    with_stand: LaserStand | None,
+    lines: Sequence[BoardLine], points_mm: Sequence[Float64], stand: LaserStand, with_stand: LaserStand | None
 ) -> float:
     """Return the RMS distance of each board's points from the sheet of all others."""
     squares = []

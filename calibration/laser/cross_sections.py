@@ -5,8 +5,6 @@ light on the board is a r(u) exp(-1/2 ((u - u0) / s)²): r is the room light tha
 stripe's sigma.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ s across it, either side is a line s = c + k a: they meet in the origin, and (at
 half angle.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

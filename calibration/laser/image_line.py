@@ -5,8 +5,6 @@ stripe, n of them count as n / (1 + 2 sum r_k) independent ones (Sokal, Monte Ca
 mechanics, 1997, section 3); the sum ends where r_k is lost in its own noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

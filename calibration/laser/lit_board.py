@@ -4,8 +4,6 @@ The board's pose says which square, and which marker, each pixel sees. Their lig
 fields of room light, fitted to the pixels that the laser does not light.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """Light smoothed along and across a bright line, for lines of several widths."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import cv2

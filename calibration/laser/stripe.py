@@ -6,8 +6,6 @@ agree on a line, and all scan lines are then looked at near it. The place in eac
 under a Gaussian of the stripe's width: the matched filter's maximum.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -6,8 +6,6 @@ to the depth z below its origin, sigma = sigma_h z / h. A Gaussian beam has sigm
 z_R)²) with w at its waist (Siegman, Lasers, 1986, section 17.1): a parabola in z.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

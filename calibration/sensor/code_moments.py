@@ -10,8 +10,6 @@ within the noise, h neighbours are taken as one, whose rounding adds (h^2 - 1) /
 (Sheppard 1898, Proc. London Math. Soc. 29, 353).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 What the frames cannot determine is refused, with the frames that are missing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

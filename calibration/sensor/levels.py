@@ -5,8 +5,6 @@ their means have in common from level to level is the sensor's fixed pattern (EM
 Slow changes over the image are the light's, and are taken off by a box filter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -14,8 +14,6 @@ tau^2 is the restricted maximum likelihood's, tau^2 = sum_s u_s^2 / (S - sum_s v
 levels' departures. The maximum is found by Fisher's scoring, whose information gives the sigmas.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ of the codes are averaged over them by Gauss and Hermite's nodes; to first order
 charge's, k_s the response's slope averaged over the noise.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

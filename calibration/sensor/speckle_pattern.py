@@ -78,12 +78,7 @@ def fit_speckle_pattern(seen: StillStatistics) -> SpecklePattern | None:
     # Lines between which the path steps to another column are no neighbours along it.
     remainder, noise, along = remainder[:-1][is_level], noise[:-1][is_level], along[is_level]
     across = remainder[:, 1:] * remainder[:, :-1]
-    parts = np.stack(
-        [
-            (remainder**2 - noise).mean(axis=1),
-            0.5 * (along.mean(axis=1) + across.mean(axis=1)),
-        ]
-    )
+    parts = np.stack([(remainder**2 - noise).mean(axis=1), 0.5 * (along.mean(axis=1) + across.mean(axis=1))])
     blocks = np.array_split(parts, N_BLOCKS, axis=1)
     kept = _GrainVariance.along(len(is_level) + 1)
     whole = kept.contrast_and_grain(parts.mean(axis=1))

@@ -12,8 +12,6 @@ full well are taken as stated: one exposure cannot determine them. Black is the 
 If ambient light falls there too, black lies lower and the read noise is smaller.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

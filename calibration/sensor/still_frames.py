@@ -5,8 +5,6 @@ and small shifts of the whole image. Pixels are sorted by the mean of every seco
 others: noise that made a pixel look bright does not count as light.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

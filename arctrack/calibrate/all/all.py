@@ -1,7 +1,5 @@
 """All calibrations of a folder in their order, each on what the earlier ones wrote, and the certificate."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,13 +16,7 @@ from arctrack.calibrate.laser.stage import laser_stage
 from arctrack.calibrate.sensor.stage import sensor_stage
 from arctrack.calibrate.stage import CalibrationStage, Steps, Warn
 from arctrack.errors import ArctrackError
-from arctrack.recording import (
-    CalibrationValues,
-    Recording,
-    SetupFile,
-    read_recording,
-    with_calibrated,
-)
+from arctrack.recording import CalibrationValues, Recording, SetupFile, read_recording, with_calibrated
 from arctrack.recording.setup_file import parse_setup
 from calibration.certificate import Certificate
 
@@ -93,13 +85,7 @@ def calibrate_folder(raw: CalibrationSources, stated: SetupFile, steps: Steps, w
             result.add(
                 "hand_eye",
                 lambda: hand_eye_stage(
-                    posed.sources,
-                    posed.board,
-                    result.stated,
-                    posed.poses,
-                    steps,
-                    warn,
-                    posed.is_eye_to_hand,
+                    posed.sources, posed.board, result.stated, posed.poses, steps, warn, posed.is_eye_to_hand
                 ),
             )
         if raw.laser is not None:

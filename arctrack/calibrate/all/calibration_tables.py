@@ -43,9 +43,7 @@ class PosedImagesTable(BoardImagesTable):
     """Images of a board from several poses of the robot."""
 
     poses: str | None = key(
-        "The robot's pose of each image: a table or matrices",
-        default=None,
-        note="Else hand_eye/poses.csv.",
+        "The robot's pose of each image: a table or matrices", default=None, note="Else hand_eye/poses.csv."
     )
     translations: str | None = key("The translations to a file of rotation matrices alone", "", default=None)
     rotation: str | None = key(

@@ -1,7 +1,5 @@
 """The certificate: what the seam's absolute position is good for, and what would make it better."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -9,16 +7,7 @@ import numpy as np
 from arctrack.calibrate.page import CalibrationPage, PagePicture, ValueRow
 from arctrack.report import style
 from arctrack.report.embedded import svg
-from calibration.certificate import (
-    CAMERA,
-    DELAY,
-    HAND_EYE,
-    LASER,
-    LATERAL,
-    ROBOT,
-    VERTICAL,
-    Certificate,
-)
+from calibration.certificate import CAMERA, DELAY, HAND_EYE, LASER, LATERAL, ROBOT, VERTICAL, Certificate
 from noise_model.compiled.arrays import Float64
 
 TITLE = "arctrack certifies what the seam's absolute position is good for"

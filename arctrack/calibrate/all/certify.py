@@ -1,7 +1,5 @@
 """Certificate of the seam's position, from the completed calibrations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

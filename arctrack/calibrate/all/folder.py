@@ -3,8 +3,6 @@
 The file may be short: a stage's files lie in the subfolder of its name unless the file says otherwise.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """calibrate_arc.html: the arc and its metal in words and pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arctrack.calibrate.page import CalibrationPage, PagePicture, ValueRow, row_of, with_sigma

@@ -1,7 +1,5 @@
 """Values of the arc's calibration for a setup: `[arc]`, `[material]`, and their covariance."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arctrack.recording import CalibrationValues

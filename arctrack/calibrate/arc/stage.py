@@ -1,7 +1,5 @@
 """Calibration of arc and metal from a recording with the arc on."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

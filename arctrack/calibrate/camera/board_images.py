@@ -1,7 +1,5 @@
 """Boards in image files: corners of those that show one, a line on each that does not."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

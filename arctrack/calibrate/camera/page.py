@@ -1,7 +1,5 @@
 """calibrate_camera.html: the lens' values, what they rest on, and where to hold the board next."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

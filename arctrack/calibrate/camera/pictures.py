@@ -1,7 +1,5 @@
 """Pictures of a camera's calibration: where boards were seen, what is left, how well what is known."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from matplotlib.axes import Axes

@@ -1,7 +1,5 @@
 """A camera's calibration as recording.toml holds it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arctrack.recording import CalibrationValues

@@ -1,7 +1,5 @@
 """Calibration of the camera from board images."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -54,10 +52,7 @@ def camera_stage(
         raise in_file(sources[0], OPEN_VALUE) from None
     warn(left_out(result.left_out))
     return CalibrationStage(
-        result,
-        camera_page(result, images, stated),
-        (calibrated_camera(result),),
-        _refusal(result, orders),
+        result, camera_page(result, images, stated), (calibrated_camera(result),), _refusal(result, orders)
     )
 
 

@@ -1,7 +1,5 @@
 """The check of a setup by a recording: looks at some frames, and judges what they show stage by stage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -90,10 +88,7 @@ class SetupCheck:
         return f"the setup does not explain the recording: {'; '.join(parts)}"
 
 
-def check_setup(
-    recording: Recording,
-    on_frame: Callable[[int], None] | None = None,
-) -> SetupCheck:
+def check_setup(recording: Recording, on_frame: Callable[[int], None] | None = None) -> SetupCheck:
     """Check the setup that a recording was read with; ArctrackError where it can track no such frames."""
     fitted(recording)
     try:

@@ -1,7 +1,5 @@
 """The quantities of sensor, stripe and arc: how bright things are, how they scatter, how wide they look."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A quantity of a check: measured, expected, sigma, and what follows."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """calibrate_check.html: what a recording says of a setup, stage by stage, with pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 

@@ -1,7 +1,5 @@
 """Position of the stripe, and what most likely moved it, as quantities and in words."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """calibrate_delay.html: the delay of the poses' clock in words and pictures."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.ticker import FormatStrFormatter
 

@@ -1,7 +1,5 @@
 """Calibration of the delay between poses and frames from a recording with motion."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arctrack.calibrate.delay.page import delay_page

@@ -4,8 +4,6 @@ The file is that of `read_cam_par`, the models are those of the chapter Calibrat
 Both distortions map the distorted image to the rays: OpenCV's, which go the other way, are fitted to them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from arctrack.calibrate.exchange.lens_file import LensFile, fitted_lens

@@ -1,7 +1,5 @@
 """A lens of another program's file, in OpenCV's terms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A lens read from a file of mrcal, Kalibr, ROS, OpenCV or HALCON, told by its content."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path

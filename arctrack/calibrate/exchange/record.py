@@ -1,7 +1,5 @@
 """An imported lens as recording.toml holds it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

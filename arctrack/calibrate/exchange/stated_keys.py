@@ -1,7 +1,5 @@
 """Keys of another program's file: numbers and texts, or the line of error that names the key."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping
 from contextlib import suppress

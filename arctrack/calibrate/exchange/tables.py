@@ -1,7 +1,5 @@
 """Tables of a calibration's text: YAML, OpenCV's YAML and XML, a Python dict, HALCON's groups."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Mapping

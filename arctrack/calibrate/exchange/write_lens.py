@@ -1,7 +1,5 @@
 """A setup's lens as a file of mrcal, Kalibr or ROS."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

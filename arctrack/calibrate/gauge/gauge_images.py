@@ -1,7 +1,5 @@
 """Images of a stripe on a gauge, with or without the robot's poses; or the frames of a recording."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """calibrate_gauge.html: the laser sheet from a gauge, or a check of it, in words and pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The laser sheet from a gauge or a plate as recording.toml holds it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Calibration of the laser sheet from images of a gauge, or a check of the setup's sheet."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,12 +38,7 @@ SHEET_CURE = (
 
 
 def gauge_stage(
-    source: GaugeSource,
-    gauge: Gauge,
-    stated: SetupFile,
-    poses: PoseSource | None,
-    steps: Steps,
-    warn: Warn,
+    source: GaugeSource, gauge: Gauge, stated: SetupFile, poses: PoseSource | None, steps: Steps, warn: Warn
 ) -> CalibrationStage[GaugeCalibration]:
     """Find the laser sheet from a gauge that stands still, at several poses of the robot.
 
@@ -144,11 +137,7 @@ def _verdict(
             f"is it that gauge? If so, {SHEET_CURE}",
         )
     if abs(off_mm) > within_mm:
-        return GaugeVerdict(
-            False,
-            f"not OK: {size}",
-            SHEET_CURE,
-        )
+        return GaugeVerdict(False, f"not OK: {size}", SHEET_CURE)
     if has_places and robot_mm > within_mm:
         return GaugeVerdict(
             False,

@@ -1,7 +1,5 @@
 """Other readings of robot poses that contradict the boards: another convention, unit, or frame."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Images of a board, each with the robot's pose: which belong together."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """calibrate_hand_eye.html: the camera's pose on a robot in words and pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 
@@ -77,9 +75,7 @@ def hand_eye_page(
                 "Bars on the right are 1 σ. A long one wants poses that turn about another axis.",
             ),
             PagePicture(
-                places(result),
-                "where the camera stood, and where it looked, in the board's frame",
-                "",
+                places(result), "where the camera stood, and where it looked, in the board's frame", ""
             ),
             PagePicture(
                 robot_off(result),

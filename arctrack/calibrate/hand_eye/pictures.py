@@ -1,7 +1,5 @@
 """The pictures of a camera's pose on a robot: misfits, motions, views."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

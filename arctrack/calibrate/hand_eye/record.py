@@ -1,7 +1,5 @@
 """The camera's pose on a robot as recording.toml holds it."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

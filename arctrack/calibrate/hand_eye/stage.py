@@ -1,7 +1,5 @@
 """Calibration of the camera's pose from board images and the robot's poses."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The light within the laser sheet on its calibration's page: origin, angle, thickness."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from arctrack.calibrate.page import PagePicture, ValueRow, row_of, with_sigma

@@ -3,8 +3,6 @@
 An image with the laser that has no partner may show both, board and stripe.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -108,10 +106,7 @@ def read_pairs(
             boards.left_out[names[path]] += "; and it has no image without the laser"
     lens, covariance = stated_lens(stated)
     result = LaserPairs(
-        boards,
-        *board_poses(board, boards.views, lens),
-        covariance,
-        left_out=left_out | boards.left_out,
+        boards, *board_poses(board, boards.views, lens), covariance, left_out=left_out | boards.left_out
     )
     paths = {names[path]: path for path in with_board}
     for n, name in enumerate(result.seen.names):

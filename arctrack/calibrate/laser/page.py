@@ -1,7 +1,5 @@
 """calibrate_laser.html: the laser sheet's plane in words and pictures."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The laser sheet's calibration as recording.toml holds it."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import block_diag
 

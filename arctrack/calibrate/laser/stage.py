@@ -1,7 +1,5 @@
 """Calibration of the laser sheet from board images without and with the laser."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,11 +20,7 @@ from noise_model.instrument.laser import Laser
 
 
 def laser_stage(
-    sources: Sequence[Path],
-    board: Board,
-    stated: SetupFile,
-    steps: Steps,
-    warn: Warn,
+    sources: Sequence[Path], board: Board, stated: SetupFile, steps: Steps, warn: Warn
 ) -> CalibrationStage[LaserCalibration]:
     """Find the laser sheet in images of a board; ArctrackError says which images it still needs."""
     pairs = read_pairs(sources, board, stated, steps("looking for board and stripe", "images"))

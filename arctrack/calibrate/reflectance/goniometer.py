@@ -1,7 +1,5 @@
 """Goniometer readings as CSV: a row a grey level, rows of equal settings averaged."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

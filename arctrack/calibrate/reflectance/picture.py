@@ -1,7 +1,5 @@
 """reflectance.png: the measured and the fitted reflectance, and what is left between them."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """Files of `arctrack calibrate reflectance`: a [material] table, the result in full, the residuals."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

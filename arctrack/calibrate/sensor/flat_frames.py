@@ -5,8 +5,6 @@ flat_2.5ms_1.png, dark_500us/0002.tif. Where the folder holds exposures.csv, its
 lit (1 or 0) say so instead.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """calibrate_sensor.html: the photon transfer of flat and dark frames in words and pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Values of a sensor's calibration for a setup: `[sensor]` and `[calibration.sensor]`."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 from arctrack.recording import CalibrationValues

@@ -1,7 +1,5 @@
 """Calibration of the sensor from flat and dark frames, or a recording of a still stripe."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from arctrack.calibrate.sensor.flat_frames import find_flat_frames, read_levels
@@ -19,11 +17,7 @@ from calibration.sensor.still import StillCalibration, calibrate_still
 
 
 def sensor_stage(
-    source: Path,
-    stated: SetupFile,
-    steps: Steps,
-    warn: Warn,
-    gamma: float | None = None,
+    source: Path, stated: SetupFile, steps: Steps, warn: Warn, gamma: float | None = None
 ) -> CalibrationStage[SensorCalibration] | CalibrationStage[StillCalibration]:
     """Find a sensor's values in flat and dark frames, or in a recording where the folder is one.
 

@@ -1,7 +1,5 @@
 """calibrate_sensor.html of a still stripe: sensor and speckle in words and pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

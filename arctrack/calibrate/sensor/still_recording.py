@@ -1,7 +1,5 @@
 """The frames of a recording that show the laser alone under one exposure."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 

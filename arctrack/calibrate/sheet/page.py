@@ -1,7 +1,5 @@
 """calibrate_sheet.html: the laser sheet from a flat plate in words and pictures."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The stripe on a flat plate in the frames of recordings, each at another pose of the robot."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

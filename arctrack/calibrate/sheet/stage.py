@@ -1,7 +1,5 @@
 """Calibration of the laser sheet from recordings of its stripe on a flat plate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from arctrack.calibrate.gauge.record import robot_noise, sheet_records
