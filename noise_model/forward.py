@@ -35,7 +35,7 @@ That is as closely as the pixels' own integrals are taken.
 """
 
 FILL_PIXELS = 4000
-"""Number of pixels that take as long one by one as filling the box of a stretch, which may show few of them."""
+"""Number of pixels that take as long one by one as the filling of one stretch's box."""
 
 WITHIN_PIXEL_PX: Float64 = np.array([(i + 0.5, 7 * i % 16 + 0.5) for i in range(16)]) / 16.0 - 0.5
 """Points (16, 2) of a pixel, px off its centre, each in a row and a column of its own: a lattice rule."""

@@ -59,7 +59,7 @@ ANNEALING = (300.0, 30.0, 5.0)
 MIN_FRAMES = 3
 """Two frames and the prior fit any plate; the third one says whether it is flat."""
 
-TOLD = 0.5
+DETERMINED = 0.5
 """A sigma of less than this share of its prior comes from the plate more than from the prior."""
 
 MAX_NOISE = 5.0
@@ -84,14 +84,14 @@ class PlateCalibration(GaugeCalibration):
         return self.moves_covariance * small_sample_factor(PLATE, len(self.fitted.counts)) ** 2
 
     @property
-    def told(self) -> Float64:
-        """The sigmas of leans and place (3,) over those beforehand."""
+    def share_left(self) -> Float64:
+        """Share of the sigmas beforehand that leans and place (3,) still have."""
         return np.asarray(np.sqrt(np.diag(self.moves_covariance)) / SHEET_PRIOR)
 
     @property
     def untold(self) -> list[str]:
         """Those of leans and place of which the plate says little or nothing."""
-        return [word for word, share in zip(WORDS, self.told, strict=True) if share > TOLD]
+        return [word for word, share in zip(WORDS, self.share_left, strict=True) if share > DETERMINED]
 
     @property
     def moved(self) -> Float64:

@@ -29,7 +29,7 @@ MAX_SIGMAS = 3.0
 NEAR_MM = 2.0
 """Farther from a seam or an edge a surface leaves it as it is."""
 
-BESIDE_MM = 1e-6
+EDGE_MM = 1e-6
 """So near to an edge either face is taken."""
 
 
@@ -58,7 +58,7 @@ def find_misfit(section: Section, corners_mm: Float64, place_mm: float) -> Misfi
     lines, column_mm = in_scan_order(section.points), section.column_mm
     y_mm, n, start, n_near = lines[Y_MM], lines.shape[1], 0, 1
     height_mm, slope = section_at(corners_mm, y_mm)
-    beside_mm, beside_slope = section_at(corners_mm, np.array([place_mm - BESIDE_MM, place_mm + BESIDE_MM]))
+    side_mm, side_slope = section_at(corners_mm, np.array([place_mm - EDGE_MM, place_mm + EDGE_MM]))
     off = np.empty(n)
     for i in range(n):
         away_mm = y_mm[i] - place_mm
@@ -67,7 +67,7 @@ def find_misfit(section: Section, corners_mm: Float64, place_mm: float) -> Misfi
         off_mm = lines[Z_MM, i] - height_mm[i]
         if abs(away_mm) < section.mixed_mm:
             for k in range(2):
-                carried_mm = lines[Z_MM, i] - beside_mm[k] - beside_slope[k] * away_mm
+                carried_mm = lines[Z_MM, i] - side_mm[k] - side_slope[k] * away_mm
                 off_mm = carried_mm if abs(carried_mm) < abs(off_mm) else off_mm
         px = max(lines[SIGMA_PX, i], lines[BESIDE_PX, i]) ** 2 + lines[MISFIT_PX, i] ** 2 + SIGMA_FLOOR_PX**2
         own_mm = abs(lines[DZ_MM, i] - slope[i] * lines[DY_MM, i]) * math.sqrt(px)
