@@ -1,7 +1,5 @@
 """A closed loop's run as a picture: seam, torch, offsets, errors and validity over time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -124,14 +124,7 @@ def simulate_recording(
                 renderer=renderer,
                 part_seed=plan.seed,
             )
-            writer.write_frame(
-                Frame(
-                    index=n,
-                    timestamp_s=timestamp_s,
-                    image_dn=image_dn,
-                    **vars(switches),
-                )
-            )
+            writer.write_frame(Frame(index=n, timestamp_s=timestamp_s, image_dn=image_dn, **vars(switches)))
             writer.write_truth(n, seen.point_tool)
             if on_frame is not None:
                 on_frame(n + 1)

@@ -117,11 +117,7 @@ class SimulatedMotion:
     """
 
     def __init__(
-        self,
-        setup: Setup,
-        plan: SimulationPlan,
-        draw: np.random.Generator,
-        true_joint: Joint | None = None,
+        self, setup: Setup, plan: SimulationPlan, draw: np.random.Generator, true_joint: Joint | None = None
     ) -> None:
         self._setup, self._plan = setup, plan
         start_mm = np.asarray((true_joint or setup.joint).seam_in_base_mm[0])

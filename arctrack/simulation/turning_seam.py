@@ -7,8 +7,6 @@ off square, is drawn by the stretch at its x: off by w^4 tan(a)^2 / (2 R^3). Fro
 mm at most, 8 mm beside the seam of a tool that looks at it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

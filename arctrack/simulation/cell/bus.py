@@ -1,7 +1,5 @@
 """A bus between parties: real frames, delays, and what goes wrong on the way."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Protocol

@@ -1,7 +1,5 @@
 """Robot, tracker and bus behind one scheduler, and what is watched while they run."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable
@@ -18,15 +16,7 @@ from arctrack.simulation.cell.scheduler import Scheduler
 from arctrack.simulation.cell.simulated_camera import SimulatedCamera
 from arctrack.simulation.cell.tracker_node import FRAME_PERIOD_S, TrackerNode
 from arctrack.simulation.cell.world import World
-from robot_io import (
-    BusMessage,
-    Command,
-    GateReason,
-    Received,
-    SeamOffset,
-    TrackerStatus,
-    Validity,
-)
+from robot_io import BusMessage, Command, GateReason, Received, SeamOffset, TrackerStatus, Validity
 
 ARMED_S = 0.2
 """Time at which the robot commands TRACK."""

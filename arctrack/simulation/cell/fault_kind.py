@@ -1,7 +1,5 @@
 """Kinds of fault in a cell: begin, end, and the report they require."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

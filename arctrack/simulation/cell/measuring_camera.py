@@ -1,7 +1,5 @@
 """A camera without a picture: it measures the seam at once, with noise, for thousands of runs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

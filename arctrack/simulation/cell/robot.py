@@ -1,7 +1,5 @@
 """A manipulator: it moves along its path, weaves, follows offsets with dead time and lag, and says so."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """Robot's node on the bus: what it sends, and what it receives of the tracker."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Event scheduler with one clock: events in order of time, the same for the same seed."""
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Simulated sensor of a tracker in a cell: a camera, and the tracker of its frames."""
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 import numpy.typing as npt

@@ -1,7 +1,5 @@
 """The tracker at its place on the bus: the real controller, behind a camera."""
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -22,15 +20,7 @@ from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.robot_node import SOURCE, as_message
 from arctrack.simulation.cell.scheduler import Scheduler
 from arctrack.simulation.cell.simulated_camera import COMPUTED_S, Shown, SimulatedCamera
-from robot_io import (
-    BusMessage,
-    Inbox,
-    Protector,
-    SeamGeometry,
-    SeamOffset,
-    SeamPoint,
-    Trusted,
-)
+from robot_io import BusMessage, Inbox, Protector, SeamGeometry, SeamOffset, SeamPoint, Trusted
 from robot_io.link.reconnecting import LinkFault
 from robot_io.link.steady_log import SteadyLog
 from robot_io.poses.nominal_path import NominalPath

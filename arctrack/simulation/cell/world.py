@@ -1,7 +1,5 @@
 """True world: the seam and the programmed path."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

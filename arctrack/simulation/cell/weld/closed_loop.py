@@ -5,8 +5,6 @@ farther on: on a seam of slope s the torch is off by s v L for good. A weave at 
 t too late would come back in the offsets, 2 pi f t of its amplitude: so the weave itself is measured too.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable

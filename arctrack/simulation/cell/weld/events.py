@@ -1,7 +1,5 @@
 """Events in a run with a rendered camera: some of them show in the image alone."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

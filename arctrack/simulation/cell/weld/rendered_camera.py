@@ -1,7 +1,5 @@
 """A rendered camera: what the sensor sees from where the tool truly is, and the real tracker behind it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """A closed loop's run as a table, a row for each frame."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from pathlib import Path

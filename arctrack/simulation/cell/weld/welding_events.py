@@ -1,7 +1,5 @@
 """Events in welding: the arc fails and is struck again, tacks hide the joint, parts move."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -88,9 +86,5 @@ ARC_FAULT = FaultKind(
 )
 
 SLIPPED = FaultKind(
-    "part slips aside",
-    _displaced,
-    POSES,
-    0.6,
-    note="until the robot disarms, and searches the seam anew",
+    "part slips aside", _displaced, POSES, 0.6, note="until the robot disarms, and searches the seam anew"
 )
