@@ -345,18 +345,17 @@ def test_a_bowed_sheet_is_tracked_where_it_is_stated(tmp_path: Path) -> None:
     recording, truth = read_recording(path), read_truth(path)
     assert recording.setup.laser.bow == 0.15
     assert truth is not None
-    poses, rms_mm = recording.pose_buffer(), []
+    poses, off_mm = recording.pose_buffer(), []
     for bow in (0.15, 0.0):
         tracker = Tracker(replace(recording.setup, laser=replace(recording.setup.laser, bow=bow)))
-        off = []
         for frame in recording.frames():
             assert not isinstance(frame, BadFrame)
             track = tracker.step(frame, recording.pose_at(poses, frame.timestamp_s))
-            off.append(track.seam_tool_mm[2] - truth.seam_tool_mm[frame.index, 2])
-        rms_mm.append(float(np.sqrt(np.nanmean(np.square(off)))))
-    print(f"height off by {rms_mm[0]:.3f} mm with the bow, {rms_mm[1]:.3f} mm without it (RMS)")
-    assert rms_mm[0] < 0.03
-    assert rms_mm[1] > 3.0 * rms_mm[0]
+            off_mm.append(abs(track.seam_tool_mm[2] - truth.seam_tool_mm[frame.index, 2]))
+    stated, ignored = np.split(np.array(off_mm), 2)
+    assert stated.max() < 0.03
+    # On plates that look bent a joint is refused, or off.
+    assert not (ignored < 3.0 * np.sqrt(np.mean(stated**2))).any()
 
 
 @pytest.mark.slow
