@@ -49,7 +49,7 @@ def as_reported(
         misfit_nats = max(misfit_nats, misfit.nats)
         if not edges:
             continue
-        if misfit.nats > MIN_EVIDENCE_NATS:
+        if edge.is_upright and misfit.nats > MIN_EVIDENCE_NATS:
             covered_mm = max(covered_mm, misfit.reach_mm)
         # The edge is anywhere within the reach on either side, as probably as there is another surface.
         probability = 1.0 / (1.0 + math.exp(MIN_EVIDENCE_NATS - misfit.nats))

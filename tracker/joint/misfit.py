@@ -34,12 +34,16 @@ EDGE_MM = 1e-6
 
 
 class SeamEdge(NamedTuple):
-    """Place y, mm, of an upright edge, and how much seam y and z and gap move with it."""
+    """Place y, mm, of an edge, and how much seam y and z and gap move with it.
+
+    One that is not upright lies between faces that show it even where another surface covers it.
+    """
 
     y_mm: float
     by_y: float = 1.0
     by_z: float = 0.0
     by_gap: float = 0.0
+    is_upright: bool = True
 
 
 class Misfit(NamedTuple):
