@@ -50,7 +50,7 @@ PLATE_REACH_MM = 100.0
 USUAL_MM = (0.1, 0.1)
 """1 sigma of a robot's pose along the plate's normal from pose to pose, and of the plate's form."""
 
-FREE = [3, 4, 7]
+OF_PLATE = [3, 4, 7]
 """Places of the plate's tilts and height among the unknowns; its turn and place in its plane mean nothing."""
 
 ANNEALING = (300.0, 30.0, 5.0)
@@ -139,7 +139,7 @@ def calibrate_by_plate(
     known[SHEET] = SHEET_PRIOR
     height_mm = PLATE_MM if plate_mm is None else plate_mm
     tilt = min(PLATE_TILT, height_mm / PLATE_REACH_MM)
-    known[FREE] = [tilt, tilt, height_mm]
+    known[OF_PLATE] = [tilt, tilt, height_mm]
     problem, left_out = _without_others(problem, start, known)
     problem, fitted = fit_consistent(problem, start, known, left_out)
     scatter_mm = fitted.noise_mm / usual_mm
@@ -191,18 +191,18 @@ def _moves_covariance(problem: GaugeProblem, start: GaugeState, fitted: GaugeFit
     height. The plate's errors are carried by sigma points (Julier and Uhlmann, Proc. SPIE 3068, 1997).
     """
     given = known.copy()
-    given[FREE] = HELD
+    given[OF_PLATE] = HELD
     state, per_plane = fitted.state, np.zeros((3, 4))
     per_plane[:2, :3], per_plane[2] = state.leans, [*state.centre_mm, 1.0]
     covariance = inverse(fitted.information[SHEET, SHEET])
-    roots = np.linalg.cholesky(fitted.covariance[np.ix_(FREE, FREE)]).T * math.sqrt(len(FREE))
+    roots = np.linalg.cholesky(fitted.covariance[np.ix_(OF_PLATE, OF_PLATE)]).T * math.sqrt(len(OF_PLATE))
     for root in (*roots, *-roots):
         of_plate, of_sheet = np.zeros((2, len(known)))
-        of_plate[FREE], of_sheet[SHEET] = fitted.step[FREE] + root, fitted.step[SHEET]
+        of_plate[OF_PLATE], of_sheet[SHEET] = fitted.step[OF_PLATE] + root, fitted.step[SHEET]
         before = replace(fitted, step=of_sheet)
         there = fit(problem, start.moved(of_plate), fitted.noise_mm, given, before).state
         move = per_plane @ (there.plane - state.plane)
-        covariance += np.outer(move, move) / (2 * len(FREE))
+        covariance += np.outer(move, move) / (2 * len(OF_PLATE))
     return covariance
 
 
