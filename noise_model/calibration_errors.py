@@ -110,6 +110,11 @@ class CalibrationCovariance:
         sign = np.where(directions.sum(axis=0) < 0.0, -1.0, 1.0)
         return np.asarray((sign * size * directions).T * self._scale)[variance > ROUNDING]
 
+    def modes_of(self, names: Sequence[str]) -> Float64:
+        """Return what the independent errors (m, n) do to some values, nothing to exact ones."""
+        places = [self.names.index(name) if name in self.names else -1 for name in names]
+        return np.pad(self.modes, ((0, 0), (0, 1)))[:, places]
+
     @property
     def _scale(self) -> Float64:
         # A negative variance shows in the correlation.

@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.arc.lattice import PixelSample, choose_pixels, expected_light
+from calibration.check.stripe_place import calibration_names
 from calibration.hand_eye_arc import CAMERA, FIELD_SIGMA, FIELDS
 from noise_model.calibration_errors import POSE
 from noise_model.compiled.arrays import Float64
@@ -93,15 +94,18 @@ class PartPlacement:
         With B = C_pc C_cc^-1, the part lies at p - B c + B camera, and its own covariance is C_pp - B C_cp.
         """
         names = [parameter.name for parameter in fit.parameters]
-        camera = [names.index(f"camera_{name.removeprefix('move_')}") for name in CAMERA]
+        errors = [names.index(name) for name in calibration_names(setup)]
         seam = [names.index(name) for name in SEAM]
         C, x = fit.covariance, np.array([values[name] for name in names])
-        B = np.linalg.solve(C[np.ix_(camera, camera)], C[np.ix_(camera, seam)]).T
+        by_error = setup.calibration_errors.modes_of(POSE).T
+        C_camera_seam = by_error @ C[np.ix_(errors, seam)]
+        # What of the camera is exact tells nothing of the seam.
+        B = (np.linalg.pinv(by_error @ C[np.ix_(errors, errors)] @ by_error.T) @ C_camera_seam).T
         # The seam need not go on straight from the stripes to the torch.
-        own = C[np.ix_(seam, seam)] - B @ C[np.ix_(camera, seam)] + np.diag(np.square((0.1, 0.1, 0.03, 0.01)))
+        own = C[np.ix_(seam, seam)] - B @ C_camera_seam + np.diag(np.square((0.1, 0.1, 0.03, 0.01)))
         prior = cls.without_stripes(setup, station_mm).covariance[:6, :6]
         covariance = np.block([[prior, prior @ B.T], [B @ prior, B @ prior @ B.T + own]])
-        return cls(station_mm, np.append(np.zeros(6), x[seam] - B @ x[camera]), covariance)
+        return cls(station_mm, np.append(np.zeros(6), x[seam] - B @ by_error @ x[errors]), covariance)
 
 
 @dataclass(frozen=True, eq=False)

@@ -391,7 +391,7 @@ class _StripePlaceProblem:
     def _parameters(self, name: str) -> list[Parameter]:
         sigmas = {
             **_by_name(PART_BLOCK, PART_SIGMAS),
-            **dict.fromkeys(_calibration_names(self.setup), 1.0),
+            **dict.fromkeys(calibration_names(self.setup), 1.0),
             # Lens, sheet and plate bend all stripes: Legendre's polynomials along them, px.
             **_by_name(SHAPE_BLOCK, (0.5, 0.5, 0.5, 0.3)),
             **dict.fromkeys(
@@ -421,7 +421,7 @@ class _StripePlaceProblem:
         """Names of the parameters that change the setup."""
         dimensions = (DIMENSION + name for name in self.setup.joint.dimensions)
         blocks = (*CAMERA_BLOCK, *LASER_BLOCK, *SENSOR_BLOCK, *LENS_BLOCK)
-        return (*_calibration_names(self.setup), *blocks, *dimensions)
+        return (*calibration_names(self.setup), *blocks, *dimensions)
 
     @cached_property
     def _setup_with(self) -> Callable[[tuple[float, ...]], Setup]:
@@ -457,7 +457,7 @@ def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
     The independent errors of its calibration are in their sigmas. Raises ValueError for dimensions that no
     joint has.
     """
-    sizes = np.array([x.get(name, 0.0) for name in _calibration_names(setup)])
+    sizes = np.array([x.get(name, 0.0) for name in calibration_names(setup)])
     if sizes.any():
         setup = setup.with_errors(setup.calibration_errors.errors(sizes))
     camera, laser = setup.camera, setup.laser
@@ -476,7 +476,8 @@ def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
     return replace(changed, joint=replace(setup.joint, dimensions=dimensions))
 
 
-def _calibration_names(setup: Setup) -> tuple[str, ...]:
+def calibration_names(setup: Setup) -> tuple[str, ...]:
+    """Return the names of the sizes of the independent errors of a setup's calibration."""
     return tuple(f"calibration_{n}" for n in range(len(setup.calibration_errors.modes)))
 
 

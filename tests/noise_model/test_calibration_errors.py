@@ -25,6 +25,8 @@ def test_modes_are_a_root_of_the_covariance_and_covariances_add_up() -> None:
     root = rng.standard_normal((3, 2)) * np.array([[30.0], [1e-7], [1e-3]])
     first = CalibrationCovariance.of(("fx", "k3", "rot_x_deg"), root @ root.T)
     np.testing.assert_allclose(first.modes.T @ first.modes, first.matrix, rtol=1e-6)
+    m, some = first.matrix, first.modes_of(("rot_x_deg", "d_mm", "fx"))
+    np.testing.assert_allclose(some.T @ some, [[m[2, 2], 0.0, m[2, 0]], [0.0] * 3, [m[0, 2], 0.0, m[0, 0]]])
     second = CalibrationCovariance.of(("rot_x_deg", "d_mm", "n_x"), np.diag([4.0, 9.0, 0.0]))
     both = CalibrationCovariance.sum([first, second])
     assert both.names == ("fx", "k3", "rot_x_deg", "d_mm")
