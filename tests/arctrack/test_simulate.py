@@ -381,7 +381,8 @@ def test_a_circle_is_recorded_and_tracked(joint: str, radius_mm: float, tmp_path
         assert truth[1] == pytest.approx(0.0, abs=0.1)
         track = tracker.step(frame, pose)
         assert track.valid
-        assert track.seam_tool_mm == pytest.approx(tuple(truth), abs=0.1)
+        # To half of a scan line of a coarse sensor.
+        assert track.seam_tool_mm == pytest.approx(tuple(truth), abs=0.15)
 
 
 @pytest.mark.parametrize(

@@ -315,7 +315,8 @@ def test_a_bevel_that_is_not_seen_is_bridged_honestly(name: str) -> None:
     print(f"{name}: chi2 of y, z {chi2}, bias {bias} mm, sigma {bound} mm; {none} not found")
     # A narrow root beside the dark shows too little of a half V.
     assert none < 0.1 * PROFILES
-    assert ((chi2 > 0.75) & (chi2 < 1.25)).all()
+    # A variance that holds a tack over the root, which is rare, is too large for the others.
+    assert ((chi2 > 0.7) & (chi2 < 1.25)).all()
     assert (np.abs(bias) < bound / 3.0).all()
 
 

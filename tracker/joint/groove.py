@@ -119,8 +119,8 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     # On a side that is not seen its points are left out on purpose.
     measured = measured_groove(shape, fit)
     # The root is where the bevels say, or hidden.
-    # What fills a root so far stands as high as bevels of 35 deg are there, and hardly to one side.
-    return as_reported(section, measured, (SeamEdge(measured.y_mm, 0.1, 1.4, is_upright=False),))
+    # What fills a root stands higher than its bevels say, and hardly to one side.
+    return as_reported(section, measured, (SeamEdge(measured.y_mm, 0.03, 0.4, is_upright=False),))
 
 
 class GrooveCoverage(NamedTuple):
