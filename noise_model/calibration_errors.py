@@ -110,6 +110,11 @@ class CalibrationCovariance:
         sign = np.where(directions.sum(axis=0) < 0.0, -1.0, 1.0)
         return np.asarray((sign * size * directions).T * self._scale)[variance > ROUNDING]
 
+    @property
+    def mode_names(self) -> tuple[str, ...]:
+        """Names of the sizes of the independent errors, by which a fit has them."""
+        return tuple(f"calibration_{n}" for n in range(len(self.modes)))
+
     def modes_of(self, names: Sequence[str]) -> Float64:
         """Return what the independent errors (m, n) do to some values, nothing to exact ones."""
         places = [self.names.index(name) if name in self.names else -1 for name in names]

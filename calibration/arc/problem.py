@@ -19,7 +19,6 @@ from functools import cached_property
 import numpy as np
 
 from calibration.arc.lattice import PixelSample, choose_pixels, expected_light
-from calibration.check.stripe_place import calibration_names
 from calibration.hand_eye_arc import CAMERA, FIELD_SIGMA, FIELDS
 from noise_model.calibration_errors import POSE
 from noise_model.compiled.arrays import Float64
@@ -94,7 +93,7 @@ class PartPlacement:
         With B = C_pc C_cc^-1, the part lies at p - B c + B camera, and its own covariance is C_pp - B C_cp.
         """
         names = [parameter.name for parameter in fit.parameters]
-        errors = [names.index(name) for name in calibration_names(setup)]
+        errors = [names.index(name) for name in setup.calibration_errors.mode_names]
         seam = [names.index(name) for name in SEAM]
         C, x = fit.covariance, np.array([values[name] for name in names])
         by_error = setup.calibration_errors.modes_of(POSE).T

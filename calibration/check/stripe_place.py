@@ -391,7 +391,7 @@ class _StripePlaceProblem:
     def _parameters(self, name: str) -> list[Parameter]:
         sigmas = {
             **_by_name(PART_BLOCK, PART_SIGMAS),
-            **dict.fromkeys(calibration_names(self.setup), 1.0),
+            **dict.fromkeys(self.setup.calibration_errors.mode_names, 1.0),
             # Lens, sheet and plate bend all stripes: Legendre's polynomials along them, px.
             **_by_name(SHAPE_BLOCK, (0.5, 0.5, 0.5, 0.3)),
             **dict.fromkeys(
@@ -421,7 +421,7 @@ class _StripePlaceProblem:
         """Names of the parameters that change the setup."""
         dimensions = (DIMENSION + name for name in self.setup.joint.dimensions)
         blocks = (*CAMERA_BLOCK, *LASER_BLOCK, *SENSOR_BLOCK, *LENS_BLOCK)
-        return (*calibration_names(self.setup), *blocks, *dimensions)
+        return (*self.setup.calibration_errors.mode_names, *blocks, *dimensions)
 
     @cached_property
     def _setup_with(self) -> Callable[[tuple[float, ...]], Setup]:
@@ -457,7 +457,7 @@ def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
     The independent errors of its calibration are in their sigmas. Raises ValueError for dimensions that no
     joint has.
     """
-    sizes = np.array([x.get(name, 0.0) for name in calibration_names(setup)])
+    sizes = np.array([x.get(name, 0.0) for name in setup.calibration_errors.mode_names])
     if sizes.any():
         setup = setup.with_errors(setup.calibration_errors.errors(sizes))
     camera, laser = setup.camera, setup.laser
@@ -474,11 +474,6 @@ def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
     stated = setup.joint.dimensions
     dimensions = {**stated, **{n: stated[n] * math.exp(r) for n, r in ratios.items()}}
     return replace(changed, joint=replace(setup.joint, dimensions=dimensions))
-
-
-def calibration_names(setup: Setup) -> tuple[str, ...]:
-    """Return the names of the sizes of the independent errors of a setup's calibration."""
-    return tuple(f"calibration_{n}" for n in range(len(setup.calibration_errors.modes)))
 
 
 def _move_pose(T: Float64, x: Mapping[str, float], block: Sequence[str]) -> Float64:
