@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibrate_commands import command
+from mistaken import edit_setup
 from plate_scenes import HEIGHTS_AND_TILTS, STATED, displaced, stripes, write_recording
 
 from arctrack.errors import ArctrackError
@@ -63,6 +64,7 @@ def test_scans_of_one_plate_count_together(plate: Path, tmp_path: Path) -> None:
     [
         ("one pose", "all frames are of one pose: raise, tilt or move the tool between them"),
         ("dark", "frames are left out, .* shows no straight stripe"),
+        ("another camera", r"left out, .*\.png is 640 x 480, \[camera\] width and height say 808 x 480"),
         ("saturated", "frames are left out, .* its stripe is saturated: shorten the exposure"),
         ("no poses", "the robot's pose is known at no frame of the laser alone"),
         ("arc on", "has no frame of the laser alone: take them with the arc off"),
@@ -78,6 +80,8 @@ def test_what_does_not_serve_is_refused_in_a_line(plate: Path, tmp_path: Path, k
         head, first, *_ = poses.read_text().splitlines()
         late = first.replace("-0.05", "-9.05"), first.replace("-0.05", "-9.00")
         poses.write_text("\n".join([head, *late]) + "\n")
+    if kind == "another camera":
+        edit_setup(folder, lambda document: document["camera"].update(width=808))
     if kind == "arc on":
         frames.write_text(frames.read_text().replace(",1,0,0,0.005", ",1,1,100,0.005"))
     result = calibrate(folder)

@@ -18,7 +18,6 @@ from noise_model.compiled.arrays import Float64, Integers
 from noise_model.even_sample import evenly
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
-from tracker.state import frame_misfit
 
 MAX_FRAMES = 40
 """Number of frames that are used, evenly spread over all poses."""
@@ -68,12 +67,7 @@ def read_plate_frames(
             if isinstance(frame, BadFrame):
                 frames.bad_frames.append(frame)
                 continue
-            name = f"{recording.name}: frame {frame.index}"
-            problem = frame_misfit(frame.image_dn.shape, frame.image_dn.dtype, setup)
-            if problem is not None:
-                frames.left_out[name] = problem
-                continue
-            _add(frames, name, frame.image_dn, rows[row], setup)
+            _add(frames, f"{recording.name}: frame {frame.index}", frame.image_dn, rows[row], setup)
     progress(len(used), len(used))
     return frames
 

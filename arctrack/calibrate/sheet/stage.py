@@ -35,8 +35,8 @@ def sheet_stage(
 
 
 def _example(frames: PlateFrames) -> str:
-    """Return the reason of the first frame that shows no stripe, for the end of a refusal."""
-    if not frames.left_out:
-        return ""
-    name, reason = next(iter(frames.left_out.items()))
-    return f"; {len(frames.left_out)} frames are left out, {name} {reason}"
+    """Return the reason of the first frame that is not used, for the end of a refusal."""
+    reasons = {**frames.left_out, **{str(bad.path): bad.problem for bad in frames.bad_frames}}
+    for name, reason in reasons.items():
+        return f"; {len(reasons)} frames are left out, {name} {reason}"
+    return ""
