@@ -44,11 +44,10 @@ def as_reported(
         [[off_y * off_y, off_y * off_z], [off_y * off_z, off_z * off_z]]
     )
     shape, misfit_nats, covered_mm = joint.shape, -math.inf, 0.0
-    for edge in edges or (SeamEdge(joint.y_mm, 0.0),):
+    # Without an edge, another surface at the seam moves nothing.
+    for edge in edges or (SeamEdge(joint.y_mm, 0.0, is_upright=False),):
         misfit = find_misfit(section if shown is None else shown, joint.corners_mm, edge.y_mm)
         misfit_nats = max(misfit_nats, misfit.nats)
-        if not edges:
-            continue
         if edge.is_upright and misfit.nats > MIN_EVIDENCE_NATS:
             covered_mm = max(covered_mm, misfit.reach_mm)
         # The edge is anywhere within the reach on either side, as probably as there is another surface.
