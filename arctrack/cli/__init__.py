@@ -15,6 +15,7 @@ from arctrack.cli.diagnose import diagnose
 from arctrack.cli.doctor import doctor
 from arctrack.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from arctrack.cli.explain import explain
+from arctrack.cli.find import find
 from arctrack.cli.group import CommandGroup, UnexpectedEndError
 from arctrack.cli.help_text import reflow
 from arctrack.cli.import_files import import_files
@@ -46,6 +47,7 @@ app.command(
 app.command(epilog="Example: arctrack check examples/v_groove --out /tmp/check.png")(check)
 app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
 app.command(epilog="Example: arctrack explain examples/v_groove 12 --out /tmp/frame_12.html")(explain)
+app.command(epilog="Example: arctrack find master/p1 master/p2 master/p3 --out master.json")(find)
 app.command(epilog="Example: arctrack new /tmp/my_sensor --joint lap")(new)
 app.command(
     "import",

@@ -39,7 +39,7 @@ class PartCheck:
         """
         if not track.valid or not limits.required:
             return self
-        latest = _fault_of(track, limits)
+        latest = fault_of(track, limits)
         looks = self.looks + 1 if latest is self.latest else 1
         state = replace(self, latest=latest, looks=looks)
         if looks < limits.looks:
@@ -120,7 +120,8 @@ def _bevels_deg(shape: JointShape) -> list[float]:
     return [angle_deg for angle_deg in shape.bevel_angles_deg if math.isfinite(angle_deg)]
 
 
-def _fault_of(track: Track, limits: PartLimits) -> Fault:
+def fault_of(track: Track, limits: PartLimits) -> Fault:
+    """Return what a part is refused for by one frame; a required value that is not known is out of range."""
     measured = {
         "gap_mm": track.gap_mm,
         "mismatch_mm": track.mismatch_mm,

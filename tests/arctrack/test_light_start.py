@@ -34,6 +34,7 @@ MISSING = {
     "check": ["nowhere"],
     "inspect": ["nowhere"],
     "explain": ["nowhere", "0"],
+    "find": ["nowhere"],
     "new": ["taken"],
     "import": ["nowhere", "--setup", "sound", "--poses", "sound/poses.csv", "--out", "new"],
     "simulate": ["taken"],
