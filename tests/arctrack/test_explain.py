@@ -25,7 +25,7 @@ from arctrack.replay.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, READ, TOO_
 from arctrack.replay.explain_pages import words
 from arctrack.replay.explain_pages.page import page, telling_lines
 from arctrack.replay.explain_pages.pictures import marks, path
-from arctrack.replay.explain_pages.plots import FLOOR, PARTS
+from arctrack.replay.explain_pages.plots import FLOOR, PARTS, sigma_picture
 from arctrack.replay.replay import ReplayOptions, replay_recording
 from arctrack.simulation.simulate import SimulationPlan, simulate_recording
 from noise_model.arc.map import CELL
@@ -134,6 +134,20 @@ def test_the_sigma_is_the_sum_of_its_parts(explained: list[Explanation]) -> None
         np.testing.assert_array_equal(found.look.stripe.refusals.why == READ, of_lines)
         seen += int(of_lines.sum())
     assert seen > 500
+
+
+@pytest.mark.slow
+def test_the_page_shows_the_sigma_that_the_frame_was_read_with(explained: list[Explanation]) -> None:
+    """Its parts are computed anew, and may add up to nothing where a line fits badly."""
+    found = next(found for found in explained if found.look is not None and found.look.stripe is not None)
+    assert found.look is not None
+    assert found.look.stripe is not None
+    parts = found.look.stripe.parts
+    odd = replace(found.look.stripe, parts=replace(parts, misfit=parts.misfit - 2.0 * parts.variance_px2))
+    sentence = words.arc_sentence(found)
+    assert "σ is" in sentence
+    assert words.arc_sentence(replace(found, look=replace(found.look, stripe=odd))) == sentence
+    assert sigma_picture(found, odd).startswith("data:image/svg")
 
 
 def made(

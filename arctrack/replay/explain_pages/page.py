@@ -114,9 +114,7 @@ def _content(explanation: Explanation) -> dict[str, Any]:
         "lines": lines,
         "line": words.scan_line(explanation),
         "refused": words.refused_lines(explanation),
-        "sigmas": plots.sigma_picture(explanation, stripe.parts)
-        if stripe is not None and has_parts
-        else None,
+        "sigmas": plots.sigma_picture(explanation, stripe) if stripe is not None and has_parts else None,
         "parts": _shares(stripe.parts) if stripe is not None and has_parts else [],
         "sum_off": _sum_off(stripe) if stripe is not None and has_parts else math.nan,
         "profile": plots.profile_picture(explanation, look) if look is not None and look.profile else None,

@@ -156,12 +156,12 @@ def parts_with_floor(parts: SigmaParts) -> list[tuple[str, str, Float64]]:
     return [*listed, (*FLOOR, floor)]
 
 
-def sigma_picture(explanation: Explanation, parts: SigmaParts) -> str:
+def sigma_picture(explanation: Explanation, look: StripeLook) -> str:
     """Return each scan line's sigma, and what its variance is made of."""
     figure = style.new_figure(WIDTH_INCH, 4.6, "Where each scan line's σ comes from")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.0, 1.4))
-    lines = np.arange(len(parts.stripe))
-    sigma = np.sqrt(parts.variance_px2)
+    parts, sigma = look.parts, look.reading.stripe.sigma_px
+    lines = np.arange(len(sigma))
     style.plain(upper, "", "σ [px]")
     upper.plot(lines, sigma, color=style.BLACK, linewidth=1.0, label="as it is")
     without = sigma * np.sqrt(np.maximum(1.0 - parts.arc_share, 0.0))

@@ -165,8 +165,7 @@ def arc_sentence(explanation: Explanation) -> str:
         return (
             "Without the arc map one variance stands for all pixels, and the arc's share in it is not known."
         )
-    parts = explanation.look.stripe.parts
-    sigma = np.sqrt(parts.variance_px2)
+    parts, sigma = explanation.look.stripe.parts, explanation.look.stripe.reading.stripe.sigma_px
     if not np.isfinite(sigma).any():
         return ""
     share = float(np.nanmedian(parts.arc_share))
