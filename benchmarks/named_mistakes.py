@@ -19,7 +19,7 @@ import numpy as np
 
 from arctrack.check.check_sample import CheckCase, case_of, chosen_rows
 from arctrack.check.explanations import explanations
-from arctrack.check.hint import hint_of
+from arctrack.check.hint import Hint, hint_of
 from arctrack.nominal import DIMENSIONS, nominal_setup
 from arctrack.recording import read_recording
 from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
@@ -67,12 +67,13 @@ def wrong_scale(setup: Setup, rng: np.random.Generator) -> Setup:
 
 
 def wrong_type(setup: Setup, rng: np.random.Generator) -> Setup:
-    name = str(rng.choice(["butt", "lap", "fillet", "corrugation"]))
+    others = [name for name in ("butt", "lap", "fillet", "corrugation") if name != setup.joint.type]
+    name = str(rng.choice(others))
     return replace(setup, joint=replace(setup.joint, type=name, dimensions=DIMENSIONS[name]))
 
 
-def wrong_angle(setup: Setup, rng: np.random.Generator) -> Setup:
-    return with_changes(setup, {"ln_included_angle_deg": off_by(rng, 0.3, 0.6)})
+def wrong_dimension(setup: Setup, rng: np.random.Generator) -> Setup:
+    return with_changes(setup, {f"ln_{next(iter(setup.joint.dimensions))}": off_by(rng, 0.3, 0.6)})
 
 
 KINDS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
@@ -85,14 +86,17 @@ KINDS: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         ("[camera.pose_in_tool] is in m", "[laser] plane_in_tool: its last number is in m"),
     ),
     "joint's type": (wrong_type, ("[joint] type",)),
-    "joint's angle": (wrong_angle, ("[joint] included_angle_deg",)),
+    "joint's dimension": (wrong_dimension, tuple(f"[joint] {next(iter(d))}" for d in DIMENSIONS.values())),
 }
-"""Each kind of mistake, and how the hint that names it begins."""
+"""Each kind of mistake, and how the hint that names it begins.
+
+The dimension is the joint's first, as a V-groove's angle.
+"""
 
 
-def sound_cases(folder: Path) -> list[CheckCase]:
-    """Return cases of sound recordings of a V-groove."""
-    setup = balance(nominal_setup("v_groove", "mild_steel", width=160, height=120))
+def sound_cases(folder: Path, joint: str, width: int) -> list[CheckCase]:
+    """Return cases of sound recordings of a joint."""
+    setup = balance(nominal_setup(joint, "mild_steel", width=width, height=3 * width // 4))
     setup = replace(setup, arc=replace(setup.arc, radiance_e=0.3 * setup.arc.radiance_e))
     cases = []
     for seed in range(RECORDINGS):
@@ -106,9 +110,8 @@ def sound_cases(folder: Path) -> list[CheckCase]:
     return cases
 
 
-def outcome(case: CheckCase, starts: tuple[str, ...]) -> str:
-    """Return what a check of a case comes to, given how the right answer begins."""
-    hint = hint_of(explanations(case))
+def outcome(hint: Hint | None, starts: tuple[str, ...]) -> str:
+    """Return what the hint of a check comes to, given how the right answer begins."""
     if hint is None:
         return OUTCOMES[2]
     what = hint.what.rpartition("off its place: ")[2]
@@ -122,16 +125,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--draws", type=int, default=40, help="draws of each kind")
     parser.add_argument("--kind", action="append", choices=list(KINDS), help="default: all of them")
+    parser.add_argument("--seed", type=int, default=7, help="seed of the draws")
+    parser.add_argument("--joint", default="v_groove", choices=list(DIMENSIONS))
+    parser.add_argument("--width", type=int, default=160, help="of the images, px; their height is 3/4 of it")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        cases = sound_cases(Path(folder))
+        cases = sound_cases(Path(folder), options.joint, options.width)
     print(f"| mistake | draws | {' | '.join(OUTCOMES)} |\n| --- | {'--- | ' * (1 + len(OUTCOMES))}".rstrip())
     for kind in options.kind or KINDS:
         spoil, starts = KINDS[kind]
-        rng, counts = np.random.default_rng(7), Counter[str]()
+        rng, counts = np.random.default_rng(options.seed), Counter[str]()
         for n in range(options.draws):
             case = cases[n % len(cases)]
-            counts[outcome(case.with_setup(spoil(case.setup, rng)), starts)] += 1
+            hint = hint_of(explanations(case.with_setup(spoil(case.setup, rng))))
+            counts[outcome(hint, starts)] += 1
         print(
             f"| {kind} | {options.draws} | {' | '.join(str(counts[name]) for name in OUTCOMES)} |", flush=True
         )

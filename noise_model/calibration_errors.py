@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -74,6 +74,7 @@ class CalibrationCovariance:
         return cls(tuple(names), tuple(map(tuple, matrix.tolist())))
 
     @classmethod
+    @lru_cache(maxsize=8)
     def of_tolerance(cls, tolerance: Tolerance) -> CalibrationCovariance:
         """Return that of a camera pose within its tolerance, before an exact sheet."""
         sigma = np.repeat([tolerance.hand_eye_deg, tolerance.hand_eye_mm], 3)

@@ -411,7 +411,7 @@ class _StripePlaceProblem:
             # Dimensions that no joint has.
             return np.full(len(self.points_px), FAR)
         seen_px = self.points_px + np.tensordot([x[name] for name in SHAPE_BLOCK], self.bends_px, axes=1)
-        here_mm, shifted_mm = (self._off_mm(setup, seen_px + step, x) for step in (0.0, self.across))
+        here_mm, shifted_mm = self._off_mm(setup, np.stack([seen_px, seen_px + self.across]), x)
         with np.errstate(divide="ignore", invalid="ignore"):
             off_px = here_mm / (shifted_mm - here_mm)
         return np.clip(np.nan_to_num(off_px / self.sigma_px, nan=FAR), -FAR, FAR)
@@ -429,12 +429,15 @@ class _StripePlaceProblem:
         return lru_cache(maxsize=2)(lambda x: with_changes(self.setup, _by_name(self.setup_names, x)))
 
     def _off_mm(self, setup: Setup, points_px: Float64, x: Mapping[str, float]) -> Float64:
-        in_joint = transform_each(self.T_joint_tool, to_laser_plane(setup, points_px)[0])
+        """Return the distances (k, n), mm, of the points, seen at k places each (k, n, 2), off the joint."""
+        T_joint_tool = np.tile(self.T_joint_tool, (len(points_px), 1, 1))
+        in_joint = transform_each(T_joint_tool, to_laser_plane(setup, points_px.reshape(-1, 2))[0])
         along = in_joint[:, 0] - self.middle_mm
         in_joint[:, 1] -= x["seam_y"] + x["seam_slope_y"] * along + self.bends.y_mm(x, in_joint[:, 0])
         in_joint[:, 2] -= x["seam_z"] + x["seam_slope_z"] * along
         in_joint[:, 2] -= math.radians(x["part_roll"]) * in_joint[:, 1]
-        return _off_section(setup, in_joint)
+        off_mm: Float64 = _off_section(setup, in_joint).reshape(points_px.shape[:2])
+        return off_mm
 
     def displacement(self, stated: Fit) -> tuple[float, float]:
         """Return the points' median distance from their nominal places, px, and its expected 1 sigma."""
@@ -462,7 +465,9 @@ def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
         setup = setup.with_errors(setup.calibration_errors.errors(sizes))
     camera, laser = setup.camera, setup.laser
     T_tool_camera = _move_pose(camera.T_tool_camera, x, CAMERA_BLOCK)
-    plane = _turn_plane(laser.plane, laser.point_mm, *(x.get(name, 0.0) for name in LASER_BLOCK))
+    plane, change = laser.plane, [x.get(name, 0.0) for name in LASER_BLOCK]
+    if any(change):
+        plane = _turn_plane(plane, laser.point_mm, *change)
     T_tool_moved = _move_pose(T_tool_camera, x, SENSOR_BLOCK)
     n_x, n_y, n_z, d = (plane @ T_tool_camera @ invert(T_tool_moved)).tolist()
     factor = math.exp(x.get("ln_focal", 0.0))
@@ -478,7 +483,7 @@ def with_changes(setup: Setup, x: Mapping[str, float]) -> Setup:
 
 def _move_pose(T: Float64, x: Mapping[str, float], block: Sequence[str]) -> Float64:
     change = [x.get(name, 0.0) for name in block]
-    return moved(T, change[:3], change[3:])
+    return moved(T, change[:3], change[3:]) if any(change) else T
 
 
 def _turn_plane(
