@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from arctrack.calibrate.all.calibration_tables import CalibrationToml
 from arctrack.control.cell_file.model import KEYS_OF_KIND, CellToml
 from arctrack.recording.schema import MAX_NUMBER, Key, tables_of
-from arctrack.recording.setup_model import RecordingToml
+from arctrack.recording.setup_model import ProfilerToml, RecordingToml
 from noise_model.setup_keys import DIMENSIONS, OPTIONAL_DIMENSIONS
 
 REFERENCE = Path(__file__).parent / "reference"
@@ -36,10 +36,19 @@ The file lies in the folder that `arctrack calibrate all` reads, and says what t
 def pages() -> dict[str, str]:
     """Return the text of each page, by its name."""
     return {
-        "setup_keys.md": "\n".join([SETUP, *_sections(RecordingToml)]),
+        "setup_keys.md": "\n".join([SETUP, *_sections(RecordingToml), *_profiler()]),
         "cell_keys.md": "\n".join([CELL, *_sections(CellToml)]),
         "calibration_keys.md": "\n".join([CALIBRATION, *_sections(CalibrationToml)]),
     }
+
+
+def _profiler() -> Iterator[str]:
+    """Yield the lines of the tables that a profiler's file has of its own."""
+    for place, table, keys in tables_of(ProfilerToml):
+        if place.startswith("camera"):
+            yield from [f"## [{place}] of a profiler", "", str(table.__doc__), ""]
+            yield from (f"- `{key.name}`: {' '.join(_sentences(key))}" for key in keys)
+            yield ""
 
 
 def _sections(model: type[BaseModel]) -> Iterator[str]:

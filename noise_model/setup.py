@@ -7,17 +7,20 @@ from dataclasses import dataclass, field, replace
 
 from noise_model.arc_source import NO_ARC, Arc
 from noise_model.calibration_errors import (
+    POSE,
     CalibrationCovariance,
     camera_with_errors,
     laser_with_errors,
 )
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
+from noise_model.instrument.profiler import Profiler
 from noise_model.instrument.sensor import Sensor
 from noise_model.instrument.spectrum import Filter, FilterCurve
 from noise_model.setup_keys import Tolerance
 from noise_model.surface.brdf import UNSTATED_METAL, Material
 from noise_model.surface.joint import Joint
+from noise_model.transforms import moved
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,8 @@ class Setup:
         Effects that are known to act: parameters by name, by the effect's id (`noise_model.effects`).
     calibration : CalibrationCovariance or None
         The joint covariance of lens, camera pose and sheet; None where only tolerances are stated.
+    profiler : Profiler or None
+        The laser profiler to which camera, sensor and laser amount; None of a camera that gives images.
 
     Raises
     ------
@@ -63,6 +68,12 @@ class Setup:
     tolerance: Tolerance = field(default_factory=Tolerance)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     calibration: CalibrationCovariance | None = None
+    profiler: Profiler | None = None
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """A frame's shape: rows and columns of an image; codes and intensities of a profile."""
+        return (self.camera.height if self.profiler is None else 2), self.camera.width
 
     @property
     def calibration_errors(self) -> CalibrationCovariance:
@@ -70,7 +81,15 @@ class Setup:
         return self.calibration or CalibrationCovariance.of_tolerance(self.tolerance)
 
     def with_errors(self, errors: Mapping[str, float]) -> Setup:
-        """Return the setup whose camera and sheet are off by errors, by name; others are left out."""
+        """Return the setup whose camera and sheet are off by errors, by name; others are left out.
+
+        A profiler is one body: its pose is off, with camera and sheet.
+        """
+        if self.profiler is not None:
+            off = [errors.get(name, 0.0) for name in POSE]
+            T_tool_profile = moved(self.profiler.T_tool_profile, off[:3], off[3:])
+            profiler = replace(self.profiler, T_tool_profile=T_tool_profile)
+            return replace(self, profiler=profiler, camera=profiler.camera, laser=profiler.laser)
         return replace(
             self,
             camera=camera_with_errors(self.camera, errors),

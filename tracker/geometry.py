@@ -7,7 +7,7 @@ otherwise its rows; positions along a scan line are pixels. All kernels see the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -140,15 +140,17 @@ class SensorGeometry:
     def of(cls, setup: Setup) -> SensorGeometry:
         """Derive the tables; raises ValueError if the stripe is not in view at tool height."""
         setup = apply_setup_effects(require_setup(setup))
-        rays = Rays.of(setup.camera)
         along_rows = stripe_runs_along_rows(setup)
+        # A profile has no pixels.
+        seen = setup.camera if setup.profiler is None else replace(setup.camera, height=1)
+        rays = Rays.of(seen)
         xy, cos4 = (rays.xy.swapaxes(0, 1), rays.cos4.T) if along_rows else (rays.xy, rays.cos4)
         charge = linearise(np.arange(setup.sensor.max_dn + 1), setup.sensor).astype(np.float32)
         return cls(
             setup=setup,
             along_rows=along_rows,
             n_scan=xy.shape[0],
-            n_pos=xy.shape[1],
+            n_pos=xy.shape[1] if setup.profiler is None else setup.camera.height,
             xy=np.ascontiguousarray(xy).reshape(-1, 2),
             cos4=np.ascontiguousarray(cos4).reshape(-1),
             charge_e=charge,
@@ -214,15 +216,14 @@ class SensorGeometry:
     @cached_property
     def frame_form(self) -> tuple[tuple[int, int], np.dtype[Any]]:
         """A frame's shape and type."""
-        camera, sensor = self.setup.camera, self.setup.sensor
-        return (camera.height, camera.width), np.dtype(sensor.dtype)
+        return self.setup.frame_shape, np.dtype(self.setup.sensor.dtype)
 
     @cached_property
     def baked_light(self) -> BakedLight:
         """The arc's light about the pose whose tool stands on the nominal seam, see `arc.baked`."""
         source = self.seam_source.scene
         scene = scene_along(source, source.segments.frames[0], NOMINAL_SEAM)
-        if scene.below_surface:
+        if scene.below_surface or self.setup.profiler is not None:
             return NOTHING_BAKED
         return baked_light(arc_kernel(self.setup, scene), self.xy, self.n_scan, MAP_TOLERANCE, MAP_FLOOR_E)
 

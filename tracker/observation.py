@@ -21,13 +21,14 @@ from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry, dark_variance_at
 from tracker.joint.measured import MeasuredJoint
 from tracker.joint.plate_lines import StripeImage
-from tracker.profile import EdgeAlongSeam, Section, triangulate
+from tracker.profile import EdgeAlongSeam, Points, Section, triangulate
 from tracker.seam.correction import Correction
 from tracker.seam.locate import sources, straightened
 from tracker.state import Frame, OffsetLookAhead, Stripe
 from tracker.stripe.band import FIT_SIGMAS, Band, LightLevel, gather_band
 from tracker.stripe.detection import MIN_RATIO, MIN_SEEN, seen_share
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
+from tracker.stripe.light import StripeLight
 from tracker.stripe.read import (
     LitBand,
     StripeReading,
@@ -186,7 +187,13 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
     assert seen.stripe is not None
     reading, source, seam_source = seen.stripe, geometry.stripe_source, geometry.seam_source
     edge = EdgeAlongSeam(seam_source.height_mm, aim.seam.slope_sigma, reading.usual.contrast)
-    points, column_mm, crossed, mixed_lines = triangulate(source, aim.scene, reading.lines, edge)
+    seen_points = triangulate(source, aim.scene, reading.lines, edge)
+    return section_of(geometry, aim, seen_points, light_of(reading, source.psf_sigma_px, seen_points.edge))
+
+
+def section_of(geometry: SensorGeometry, aim: Aim, seen_points: Points, light: StripeLight) -> Section:
+    """Return the section of triangulated points along a seam that may turn."""
+    seam_source, (points, column_mm, _, mixed_lines) = geometry.seam_source, seen_points
     points = straightened(seam_source, aim.scene, aim.seam.station_mm, aim.reach_mm, points)
     camera_mm, laser_mm = sources(seam_source, aim.scene, aim.seam.station_mm)
     # Additional half-width of the search for the joint over that for the stripe.
@@ -196,7 +203,7 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
         reach_mm=aim.reach_mm + 1.0,
         mixed_mm=column_mm * mixed_lines,
         slope_sigma=aim.seam.slope_sigma,
-        light=light_of(reading, source.psf_sigma_px, crossed),
+        light=light,
         camera_mm=camera_mm,
         laser_mm=laser_mm,
     )

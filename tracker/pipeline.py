@@ -21,6 +21,7 @@ from tracker.joint.image_line import read_image_line
 from tracker.joint.type_check import shows_another
 from tracker.judge import SeamEstimate, judge
 from tracker.observation import MIN_HELD_SHARE, Aim, FrameInput, Observation, Reading, observe
+from tracker.profile_observation import ProfileObservation, observe_profile
 from tracker.seam.expected import ExpectedSeam, check_pose, expect_seam, ground_at_torch, pose_numbers
 from tracker.seam.gaussian_process import NO_HISTORY
 from tracker.seam.locate import locate
@@ -88,7 +89,8 @@ def search(given: FrameInput, frame_checks: FrameChecks, aim: Aim, expected: Exp
 
 def look_and_fit(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Reading:
     """Look at a frame about a seam, and fit the joint to the section that it shows."""
-    seen = observe(given, frame_checks, aim)
+    is_image = given.geometry.setup.profiler is None
+    seen = observe(given, frame_checks, aim) if is_image else observe_profile(given, frame_checks, aim)
     joint, margin_mm = None, math.nan
     if seen.section is not None:
         joint, margin_mm = _fit_joint(given, frame_checks, aim, seen)
@@ -169,14 +171,14 @@ def as_stated(reading: Reading) -> Reading:
 
 
 def _fit_joint(
-    given: FrameInput, frame_checks: FrameChecks, aim: Aim, seen: Observation
+    given: FrameInput, frame_checks: FrameChecks, aim: Aim, seen: Observation | ProfileObservation
 ) -> tuple[MeasuredJoint | None, float]:
     """Return the joint that a section shows, None where none counts, and its margin in the view, mm."""
     section, geometry = seen.section, given.geometry
     assert section is not None
     stated = geometry.setup.joint
     joint = fit_section(section, stated, given.stripe_image)
-    if stated.type == "butt" and not _is_distinct(joint):
+    if stated.type == "butt" and isinstance(seen, Observation) and not _is_distinct(joint):
         closed = _closed_joint(given, aim, seen)
         if _is_distinct(closed):
             frame_checks.ask_whether(checks.GAP_SHOWN, False)

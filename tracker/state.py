@@ -98,8 +98,10 @@ class Frame:
 
 def frame_misfit(shape: tuple[int, ...], dtype: npt.DTypeLike, setup: Setup) -> str | None:
     """Return the misfit of an image's shape, (H, W) if right, and type to a setup; None if it fits."""
-    camera, sensor = setup.camera, setup.sensor
-    wanted = (camera.height, camera.width)
+    camera, sensor, wanted = setup.camera, setup.sensor, setup.frame_shape
+    if setup.profiler is not None and (shape, np.dtype(dtype)) != (wanted, np.dtype(sensor.dtype)):
+        held = " x ".join(map(str, shape))
+        return f"holds {held} {np.dtype(dtype)}: a profile of 2 x {camera.width} uint16 is needed"
     if len(shape) == 3:
         colours = "is a colour picture" if shape[2] in (3, 4) else "has a third axis"
         return (

@@ -19,6 +19,7 @@ from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float32, Float64, Int64, Integers
 from noise_model.compiled.compiler_events import compiler_events
 from noise_model.compiled.forecast import Forecast
+from noise_model.drawn_profile import draw_profile
 from noise_model.setup import Setup
 from noise_model.surface.joint import NOMINAL_SEAM, seam_frame
 from tracker import observation
@@ -33,6 +34,8 @@ from tracker.stripe.band import Band
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.read import Work
 from tracker.tracker_state import LOST_TO_SEARCH, TrackerMemory
+
+NOTHING = np.empty((0, 0))
 
 SHORTER_SIDE_PX = 240
 """Least number of pixels of a synthetic image's shorter side."""
@@ -95,6 +98,7 @@ def _kind(geometry: SensorGeometry, use_arc_map: bool) -> tuple[object, ...]:
         geometry.along_rows,
         setup.joint.type,
         setup.joint.has_ridges,
+        setup.profiler is None,
         setup.sensor.dtype,
         setup.missing,
         any(setup.camera.distortion),
@@ -129,6 +133,8 @@ def _no_light(
 
 def _with_larger_pixels(setup: Setup) -> SensorGeometry:
     """Return a setup of the same kind and the same view, whose image has SHORTER_SIDE_PX."""
+    if setup.profiler is not None:
+        return SensorGeometry.of(setup)
     camera = setup.camera
     by = max(1, min(camera.width, camera.height) // SHORTER_SIDE_PX)
     return SensorGeometry.of(replace(setup, camera=camera.coarser(by)))
@@ -228,22 +234,26 @@ def _tilted(pose: Pose) -> Iterator[Pose]:
 
 @dataclass(frozen=True)
 class _Picture:
-    """Parts of a frame, scan line by scan line: stripe and arc's light (n_scan, n_pos), e-."""
+    """Parts of a frame, scan line by scan line: stripe and arc's light (n_scan, n_pos), e-; or a profile."""
 
     geometry: SensorGeometry
     expected: ExpectedStripe | None
     arc_e: Float64
+    profile: Integers
 
     @classmethod
     def of(cls, geometry: SensorGeometry, pose: Pose) -> _Picture:
         """Predict stripe and arc of a pose."""
         scene = make_scene(geometry.setup, pose.T_base_tool, NOMINAL_SEAM)
+        if geometry.setup.profiler is not None:
+            profile = draw_profile(geometry.setup, scene, np.random.default_rng(0))
+            return cls(geometry, None, NOTHING, profile)
         arc_e = np.zeros((geometry.n_scan, geometry.n_pos))
         if geometry.setup.arc.shines:
             arc = arc_kernel(geometry.setup, scene, 1.0)
             seen_e = arc_frame(arc, geometry.xy, geometry.cos4, (geometry.n_scan, geometry.n_pos))
             arc_e = np.nan_to_num(seen_e).astype(np.float64)
-        return cls(geometry, expect_stripe(geometry, scene), arc_e)
+        return cls(geometry, expect_stripe(geometry, scene), arc_e, NOTHING.astype(np.uint16))
 
     def image(
         self,
@@ -259,6 +269,9 @@ class _Picture:
         The stripe is in a share of those scan lines alone that show it, and displaced sideways.
         """
         geometry, sensor = self.geometry, self.geometry.setup.sensor
+        if geometry.setup.profiler is not None:
+            columns = np.arange(geometry.n_scan) * stripe <= share * geometry.n_scan
+            return np.where(columns, np.roll(self.profile, round(aside_px), axis=1), 0).astype(np.uint16)
         charge_e = arc * self.arc_e
         if self.expected is not None:
             places = np.arange(geometry.n_pos) - self.expected.position_px[:, None] - aside_px

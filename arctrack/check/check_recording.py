@@ -70,13 +70,16 @@ def check_recording(recording: Recording, on_frame: Callable[[int], None] | None
     except ValueError as error:
         refusal = in_file(recording.setup_path, str(error))
     positions = chosen_rows(recording)
-    case = case_of(recording)
+    # Of a profiler, what images show is not asked.
+    is_image = recording.setup.profiler is None
+    case = case_of(recording) if is_image else None
     frames, bad_frames = parted(recording.frames(positions))
     timing = timing_of(recording)
     looks, unlit = [], []
     if geometry is not None:
         with compiled_by_two(geometry.setup):
             warm_up(geometry, UNSTATED)
+    if geometry is not None and is_image:
         looks = looks_at(recording, geometry, frames, on_frame)
         unlit = looks_at(recording, geometry, _as_if_lit(recording))
     tried = rows_to_try(recording)
@@ -94,7 +97,7 @@ def check_recording(recording: Recording, on_frame: Callable[[int], None] | None
         all_findings.append(_causes_finding(ranked))
     if case is not None and case.fits_camera:
         all_findings.append(_lines_finding(case, hint if is_tracked else None))
-    if geometry is not None:
+    if geometry is not None and is_image:
         sensor = sensor_of(recording, looks)
         all_findings += findings(recording.setup, geometry, looks, unlit, sensor, timing.exposures_fit)
     if hint is not None:

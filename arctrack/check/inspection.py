@@ -10,7 +10,7 @@ from arctrack.check.survey import ConditionSummary, Survey, path_over_seam
 from arctrack.errors import in_file
 from arctrack.recording import Recording
 from arctrack.report import style
-from arctrack.report.image import visible
+from arctrack.report.image import frame_picture
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64
 from robot_io import PoseBuffer
@@ -72,8 +72,9 @@ def _frame(
     if frame is None:
         axes.text(0.5, 0.5, "none of them readable", ha="center", va="center")
         return
-    sensor, camera = recording.setup.sensor, recording.setup.camera
-    axes.imshow(visible(frame.image_dn, sensor), cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
+    camera = recording.setup.camera
+    grey = frame_picture(frame, recording.setup)
+    axes.imshow(grey, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
     stripe = expected_stripe_px(recording, geometry, poses, frame) if condition.laser_on else None
     if stripe is not None:
         axes.plot(*stripe.T, color=style.ORANGE, linewidth=0.9, dashes=(6, 4))

@@ -53,6 +53,13 @@ def import_files(
     channel: Annotated[
         Channel | None, typer.Option(help="The colour that becomes grey. Default: the laser's.")
     ] = None,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="KEY=VALUE of a profiler's files: layout, up_mm, across_mm, axes, nothing, separator, "
+            "decimal, zero, middle; repeat. What a file needs is asked for."
+        ),
+    ] = None,
     bayer: Annotated[
         Bayer | None, typer.Option(help="Images are mosaics: sites of one colour, at half the size.")
     ] = None,
@@ -64,10 +71,15 @@ def import_files(
     """
     look_at_setup(setup)
     look_at_file(poses)
-    look_at_images(sources)
+    if profile is None:
+        look_at_images(sources)
+    else:
+        for source in sources:
+            look_at_file(source)
     from arctrack.cli import console
     from arctrack.printable import quoted
     from arctrack.recording.importing.import_recording import ImportSources, import_recording
+    from arctrack.recording.importing.profile_files import ProfileLayout
     from arctrack.recording.importing.units import parse_units
 
     _check_range("--rate-hz", rate_hz, 1e-4, 1e5)
@@ -88,6 +100,7 @@ def import_files(
         exposure_s=exposure_s,
         channel=channel,
         bayer=bayer,
+        profile=None if profile is None else ProfileLayout.of(profile),
     )
     with interruptible(f"{out.name}: import", "nothing is kept"), console.progress() as bar:
         tasks: dict[str, TaskID] = {}

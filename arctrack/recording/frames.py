@@ -95,12 +95,13 @@ def read_images(
 
 
 def _read_png(path: Path, setup: Setup) -> Image:
-    most = LIMITS.png_bytes_per_px * setup.camera.width * setup.camera.height + LIMITS.spare_bytes
+    n_px = math.prod(setup.frame_shape)
+    most = LIMITS.png_bytes_per_px * n_px + LIMITS.spare_bytes
     try:
         encoded = read_bytes(path, most)
         header = png.header_of(encoded)
         # A few bytes may stand for gigabytes of pixels: only what is no larger than a frame is decoded.
-        if math.prod(header.shape) > setup.camera.width * setup.camera.height:
+        if math.prod(header.shape) > n_px:
             return str(frame_misfit(header.shape, header.dtype, setup))
         return png.decode(encoded, header)
     except FileNotFoundError:
@@ -151,13 +152,13 @@ def _check_folder(folder: Path, rows: Sequence[FrameRow]) -> list[str]:
 
 
 def _check_video(video: Path, rows: Sequence[FrameRow], setup: Setup) -> list[str]:
-    camera = setup.camera
-    raw_bytes = len(rows) * camera.width * camera.height * np.dtype(setup.sensor.dtype).itemsize
+    height, width = setup.frame_shape
+    raw_bytes = len(rows) * width * height * np.dtype(setup.sensor.dtype).itemsize
     try:
         check_file(video, LIMITS.video_bytes_per_byte * raw_bytes + LIMITS.spare_bytes)
     except UnfitFileError as error:
         raise in_file(video, str(error)) from None
-    ffv1.check_video(video, camera.width, camera.height)
+    ffv1.check_video(video, width, height)
     # Of fewer frames the last are lost; of more nobody knows which row is whose.
     index = ffv1.index_of(video)
     if len(index) > len(rows):

@@ -5,7 +5,7 @@ The physics is imported once the keys are right: it takes seconds, and a misspel
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +16,7 @@ from noise_model.compiled.arrays import Float64
 from noise_model.setup_keys import COEFFICIENTS
 
 if TYPE_CHECKING:
+    from noise_model.instrument.profiler import Profiler
     from noise_model.instrument.spectrum import Filter, FilterCurve
 
 # One bound for each type: pydantic leaves out that of a field whose type has its own.
@@ -31,6 +32,7 @@ Distortions = Annotated[
 SIDE = Bounds(None, LIMITS.side_px, source_of("side_px"))
 FOCAL = Bounds(1.0, 1e6, "a field of view of a half space; a 1 m lens on pixels of 1 um")
 CENTER = Bounds(-1e5, 1e5, "six times the longest side")
+PITCH = Bounds(1e-4, 10.0, "profilers resolve 0.002 to 1 mm")
 GAMMA = Bounds(0.1, 10.0, "cameras show 0.4 to 2.5")
 
 
@@ -69,6 +71,24 @@ class CameraPoseTable(RigidPoseTable):
         "length 1",
         "a calibration. As the translation. The camera's axes are OpenCV's: x to the right in the image, y "
         "down, z forward.",
+    )
+
+
+class ProfilePoseTable(RigidPoseTable):
+    """The profile's pose, T_tool_profile: y along the columns, z up, away from the part."""
+
+    translation_mm: PointInTool = key(
+        "Where the middle column's z = 0 stands in the tool frame: x, y, z",
+        "mm",
+        "20 to 100 ahead",
+        "a calibration, or the drawing. The tool frame: origin at the electrode's working point, x along the "
+        "travel, y to its left, z away from the part.",
+    )
+    quaternion_xyzw: Vector4 = key(
+        "How the profile is turned in the tool frame: unit quaternion, x y z w, w last",
+        "",
+        "[0, 0, 0, 1], or [0, 0, 1, 0] where the columns run to the right",
+        "a calibration, or the drawing. The profile's axes: y along rising columns, z up, x = y x z.",
     )
 
 
@@ -132,6 +152,60 @@ class CameraTable(Table):
         "The pixels' format, a monochrome one", "", "mono8, mono12", "the data sheet. As set on the camera."
     )
     pose_in_tool: CameraPoseTable
+
+
+class ProfilerTable(Table):
+    """A laser profiler in the camera's place: it gives heights, no images."""
+
+    kind: Literal["profile"] = key("What the camera gives: profiles, each a height over its columns")
+    columns: int = key(
+        "Columns of a profile",
+        "",
+        "320 to 4096",
+        "the data sheet. Files with other places are laid on these columns.",
+        bounds=Bounds(16, LIMITS.side_px, source_of("side_px")),
+    )
+    pitch_mm: float = key(
+        "Distance of two columns",
+        "mm",
+        "0.01 to 0.3",
+        "the data sheet. The resolution in x of the sensor's setting.",
+        bounds=PITCH,
+    )
+    range_mm: float = key(
+        "Span of the heights, whose middle is the profile's z = 0",
+        "mm",
+        "10 to 300",
+        "the data sheet. The measuring range in z. 65534 codes span it.",
+        bounds=Bounds(0.1, 1e4, "ten metres"),
+    )
+    stand_off_mm: float = key(
+        "Height of the laser's window over the profile's z = 0",
+        "mm",
+        "50 to 500",
+        "the data sheet. The clearance distance and half the measuring range.",
+        bounds=Bounds(1.0, 1e4, "ten metres"),
+    )
+    sigma_mm: float = key(
+        "1 sigma of a single height; what heights scatter beyond it is learned from frame to frame",
+        "mm",
+        "0 to 0.05",
+        "the data sheet. The repeatability of one point, not of a mean.",
+        default=0.0,
+        bounds=Bounds(0.0, 10.0, "a height that is known worse shows no joint"),
+    )
+    exposure_s: Number = key(
+        "The usual exposure", "s", "0.0001 to 0.01", "your choice. frames.csv states that of each frame."
+    )
+    pose_in_tool: ProfilePoseTable
+
+    def to_profiler(self) -> Profiler:
+        """Return the profiler; ValueError names the key of what cannot be."""
+        from noise_model.instrument.profiler import Profiler
+
+        values = self.known
+        del values["kind"], values["pose_in_tool"]
+        return Profiler(T_tool_profile=self.pose_in_tool.matrix("camera.pose_in_tool"), **values)
 
 
 class SensorTable(Table):

@@ -16,7 +16,7 @@ from arctrack.limits import LIMITS
 from arctrack.printable import cut, first_of, printable
 from arctrack.recording.files import blamed_on, read_text
 from arctrack.recording.key_errors import wrong_keys
-from arctrack.recording.setup_model import CalibrationTable, RecordingToml, unknown_keys
+from arctrack.recording.setup_model import CalibrationTable, RecordingToml, model_of, unknown_keys
 from arctrack.recording.setup_writer import CERTIFICATE, FILE_NAME, GEOMETRY, filter_table, pose_table
 from arctrack.recording.toml_text import parse_toml, rounded
 from noise_model.compiled.arrays import Float64
@@ -98,11 +98,14 @@ def stated_keys(text: str, path: Path) -> RecordingToml:
 
     `path` is for the messages.
     """
+    kind: type[RecordingToml] = RecordingToml
     try:
-        model = RecordingToml.model_validate(parse_toml(text))
+        content = parse_toml(text)
+        kind = model_of(content)
+        model = kind.model_validate(content)
         model.joint.dimensions()
     except ValueError as error:
-        raise wrong_keys(path, error, RecordingToml) from None
+        raise wrong_keys(path, error, kind) from None
     return model
 
 

@@ -85,8 +85,6 @@ class RecordingToml(Table):
     def to_setup(self) -> Setup:
         """Return the typed setup; ValueError names the table and key of a value that cannot be."""
         from noise_model.effects import checked
-        from noise_model.instrument.laser import Laser
-        from noise_model.instrument.sensor import Sensor
         from noise_model.setup import Setup
         from noise_model.surface.brdf import UNSTATED_METAL, Material
 
@@ -95,19 +93,8 @@ class RecordingToml(Table):
         if any(unit not in known for unit in _units(self.units)):
             raise ValueError(f"{held('units', self.units)}: must be of {UNITS}; convert the file's values")
         joint = self.joint.to_joint()
-        n_x, n_y, n_z, d_mm = self.laser.plane_in_tool
         stated = Setup(
-            camera=self._camera(),
-            sensor=Sensor(**self.sensor.known),
-            laser=Laser(
-                wavelength_nm=self.laser.wavelength_nm,
-                plane_in_tool=(n_x, n_y, n_z, d_mm),
-                origin_in_tool_mm=scene.three(self.laser.origin_in_tool_mm),
-                stripe_sigma_mm=self.laser.stripe_sigma_mm,
-                peak_e=self.laser.peak_e,
-                fan_half_angle_deg=self.laser.fan_half_angle_deg,
-                bow=self.laser.bow,
-            ),
+            **self._instrument(),
             joint=joint,
             filter=None if self.filter is None else self.filter.to_filter(),
             arc=NO_ARC if self.arc is None else self.arc.to_arc(),
@@ -148,6 +135,23 @@ class RecordingToml(Table):
                     raise ValueError(f"{where}: must be a finite number, {MAX_NUMBER:g} at most")
         return known
 
+    def _instrument(self) -> dict[str, Any]:
+        """Return the setup's fields for camera, sensor and laser."""
+        from noise_model.instrument.laser import Laser
+        from noise_model.instrument.sensor import Sensor
+
+        n_x, n_y, n_z, d_mm = self.laser.plane_in_tool
+        laser = Laser(
+            wavelength_nm=self.laser.wavelength_nm,
+            plane_in_tool=(n_x, n_y, n_z, d_mm),
+            origin_in_tool_mm=scene.three(self.laser.origin_in_tool_mm),
+            stripe_sigma_mm=self.laser.stripe_sigma_mm,
+            peak_e=self.laser.peak_e,
+            fan_half_angle_deg=self.laser.fan_half_angle_deg,
+            bow=self.laser.bow,
+        )
+        return {"camera": self._camera(), "sensor": Sensor(**self.sensor.known), "laser": laser}
+
     def _camera(self) -> Camera:
         from noise_model.instrument.camera import Camera
 
@@ -159,6 +163,44 @@ class RecordingToml(Table):
         values["distortion"] = tuple(self.camera.distortion)
         T_tool_camera = self.camera.pose_in_tool.matrix("camera.pose_in_tool")
         return Camera(T_tool_camera=T_tool_camera, **values)
+
+
+UNSHOWN = ("butt", "edge", "lap", "corrugation")
+"""The joints whose upright edges a stripe's light shows: where profiles put them is not known well enough."""
+
+
+class ProfilerToml(RecordingToml):
+    """The file of a laser profiler, which needs no tables of light: those have no effect."""
+
+    camera: sensors.ProfilerTable  # type: ignore[assignment]
+    sensor: None = None  # type: ignore[assignment]
+    laser: None = None  # type: ignore[assignment]
+    filter: None = None
+    arc: None = None
+    material: None = None
+
+    def _instrument(self) -> dict[str, Any]:
+        """Return the fields for the camera, sensor and laser to which the profiler amounts."""
+        from noise_model.instrument.profiler import SENSOR
+
+        if self.joint.type in UNSHOWN:
+            raise ValueError(
+                f"[joint] type = {self.joint.type}: its edges are read from light, which profiles lack; "
+                "state another type, or track it by a camera's images"
+            )
+        profiler = self.camera.to_profiler()
+        return {
+            "profiler": profiler,
+            "camera": profiler.camera,
+            "sensor": SENSOR,
+            "laser": profiler.laser,
+        }
+
+
+def model_of(content: dict[str, Any]) -> type[RecordingToml]:
+    """Return the model of a file's content, by the kind of its camera."""
+    camera = content.get("camera")
+    return ProfilerToml if isinstance(camera, dict) and "kind" in camera else RecordingToml
 
 
 def _units(text: str) -> list[str]:

@@ -124,6 +124,11 @@ def _tables(setup: Setup) -> dict[str, dict[str, Any]]:
         if name not in setup.missing
     }
     plain["camera"]["pose_in_tool"] = pose_table(setup.camera.T_tool_camera)
+    if setup.profiler is not None:
+        profiler = _stated(setup.profiler, "T_tool_profile")
+        plain["camera"] = {"kind": "profile", **profiler}
+        plain["camera"]["pose_in_tool"] = pose_table(setup.profiler.T_tool_profile)
+        del plain["sensor"], plain["laser"]
     return plain
 
 

@@ -88,11 +88,11 @@ class RecordingWriter:
         self._tables: dict[str, TextIO] = {}
         self._video: ffv1.VideoWriter | None = None
         if video is not None:
-            camera = setup.camera
+            height, width = setup.frame_shape
             self._video = ffv1.VideoWriter(
                 self._folder / frames.VIDEO_NAME,
-                camera.width,
-                camera.height,
+                width,
+                height,
                 setup.sensor.dtype,
                 video.rate_hz,
             )

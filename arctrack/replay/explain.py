@@ -113,6 +113,9 @@ def explain(
 
     Raises ArctrackError if the recording has no such frame, or if it cannot be read.
     """
+    if recording.setup.profiler is not None:
+        cure = "images are explained; replay.html has each profile, its checks and its section"
+        raise in_file(recording.setup_path, f'[camera] kind = "profile": only {cure}')
     positions = range(position_of(recording, index) + 1)
     job = recorded_job(recording, use_arc_map=use_arc_map)
     outcomes = replay_without_bus(job, positions)

@@ -10,8 +10,9 @@ from PIL import Image
 from noise_model.compiled.arrays import Float64, UInt8
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.sensor import Sensor
+from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
-from tracker.state import Stripe, Track
+from tracker.state import Frame, Stripe, Track
 
 
 def visible(image_dn: npt.NDArray[np.integer | np.floating], sensor: Sensor) -> UInt8:
@@ -20,6 +21,17 @@ def visible(image_dn: npt.NDArray[np.integer | np.floating], sensor: Sensor) -> 
     scaled = 255.0 * np.sqrt(signal / max(1.0, sensor.max_dn - sensor.black_level_dn))
     grey: UInt8 = np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
     return grey
+
+
+def frame_picture(frame: Frame, setup: Setup) -> UInt8:
+    """Return a frame as 8-bit grey (H, W): an image by `visible`, a profile as points."""
+    if setup.profiler is None:
+        return visible(frame.image_dn, setup.sensor)
+    picture = np.zeros((setup.camera.height, setup.camera.width), np.uint8)
+    rows_px = setup.profiler.rows_px(setup.profiler.z_mm(frame.image_dn[0]))
+    columns = np.flatnonzero(np.isfinite(rows_px))
+    picture[np.rint(rows_px[columns]).astype(np.int64), columns] = 255
+    return picture
 
 
 def shrunk(grey: UInt8, bin_px: int) -> UInt8:

@@ -22,6 +22,7 @@ from arctrack.simulation.simulated_motion import MIN_FRAMES, TurningMotion
 from arctrack.simulation.simulated_motion import SimulatedMotion as SimulatedMotion
 from arctrack.simulation.simulated_motion import SimulationPlan as SimulationPlan
 from noise_model.condition import Condition
+from noise_model.drawn_profile import draw_profile
 from noise_model.effects import Values, apply_setup_effects, checked, pose_time_s
 from noise_model.forward import Renderer, draw_frame, predict
 from noise_model.plan.noise import expected_speckle
@@ -81,10 +82,12 @@ def simulate_recording(
     plan = plan or SimulationPlan()
     require_setup(setup)
     setup, stated, course = _with_path(setup, plan, stated)
+    if setup.profiler is not None and hidden_effects:
+        raise ArctrackError('[camera] kind = "profile": effects act on images alone; leave --effect out')
     try:
         check_stripe(setup)
         effects = checked({**setup.effects, **(hidden_effects or {})}, setup.joint, setup.missing)
-        if "laser_speckle" not in setup.effects:
+        if "laser_speckle" not in setup.effects and setup.profiler is None:
             given = (hidden_effects or {}).get("laser_speckle", {})
             effects = checked({**effects, "laser_speckle": {**expected_speckle(setup), **given}})
     except ValueError as error:
@@ -115,15 +118,18 @@ def simulate_recording(
             T_base_tool = motion.T_base_tool(pose_time_s(true_setup, timestamp_s))
             seen = motion.seen_from(true_setup, T_base_tool)
             condition = Condition.of(setup, **vars(switches), timestamp_s=timestamp_s)
-            image_dn = draw_frame(
-                seen.setup,
-                T_base_tool,
-                condition,
-                draw_noise,
-                seam=seen.seam,
-                renderer=renderer,
-                part_seed=plan.seed,
-            )
+            if setup.profiler is None:
+                image_dn = draw_frame(
+                    seen.setup,
+                    T_base_tool,
+                    condition,
+                    draw_noise,
+                    seam=seen.seam,
+                    renderer=renderer,
+                    part_seed=plan.seed,
+                )
+            else:
+                image_dn = draw_profile(seen.setup, motion.scene_at(seen, T_base_tool), draw_noise)
             writer.write_frame(Frame(index=n, timestamp_s=timestamp_s, image_dn=image_dn, **vars(switches)))
             writer.write_truth(n, seen.point_tool)
             if on_frame is not None:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from arctrack.errors import ArctrackError
 from arctrack.simulation.programmed_path import ProgrammedPath
 from arctrack.simulation.turning_seam import TurningSeam
-from noise_model.arc.scene import make_scene
+from noise_model.arc.scene import Scene, make_scene
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import apply_setup_effects
 from noise_model.setup import Setup
@@ -158,6 +158,12 @@ class SimulatedMotion:
         """Return what the true setup sees from a pose (4, 4)."""
         seam = self.true_seam(*make_scene(apply_setup_effects(true_setup), T_base_tool).stations_mm)
         return SeenTruth(true_setup, seam, self.seam_point(T_base_tool, seam))
+
+    def scene_at(self, seen: SeenTruth, T_base_tool: Float64) -> Scene:
+        """Return the scene of a pose (4, 4) along the stretch that the sheet meets."""
+        station_mm = float((invert(self._T_base_true) @ T_base_tool @ [*seen.point_tool, 1.0])[0])
+        stretch = seen.seam.lines[int(seen.seam.stretch_at(np.array(station_mm)))]
+        return make_scene(seen.setup, T_base_tool, stretch)
 
     def true_seam(self, first_mm: float, last_mm: float, torch_mm: float) -> BentSeam:
         """Return the true seam from one station to another, the arc where it is at the torch's."""

@@ -50,7 +50,7 @@ class Work(NamedTuple):
     @classmethod
     def of(cls, geometry: SensorGeometry) -> Work:
         """Make room for the widest band of a sensor, and for the offsets of a search."""
-        n = geometry.n_scan * geometry.n_pos
+        n = len(geometry.cos4)
         # Bins of several pixels have fewer.
         n_offsets = len(offsets_within(geometry.reach_px(SEARCH_REACH_MM), 1))
         charge, background, light, plain = np.empty((4, n), np.float32)

@@ -1,6 +1,7 @@
 """The process that keeps a live run's black box: it saves the latest frames on a fault, or on request."""
 
 import json
+import math
 import platform
 import shutil
 import sys
@@ -58,7 +59,7 @@ def save_window(
         job = jobs[entries[-1].job_number]
         raw.seek(0)
         with RecordingWriter(path, job.setup, video=VideoFormat(rate_hz), toml=job.toml) as recording:
-            height, width, dtype = job.setup.camera.height, job.setup.camera.width, job.setup.sensor.dtype
+            (height, width), dtype = job.setup.frame_shape, job.setup.sensor.dtype
             for entry in entries:
                 pixels = np.fromfile(raw, dtype, height * width)
                 recording.write_frame(replace(entry.frame, image_dn=pixels.reshape(height, width)))
@@ -280,7 +281,7 @@ class _Recorder:
         if now_s - self._tried_s >= TRY_S:
             self._tried_s = now_s
             setup = next(iter(self._options.jobs.values())).setup
-            image_bytes = setup.camera.height * setup.camera.width * np.dtype(setup.sensor.dtype).itemsize
+            image_bytes = math.prod(setup.frame_shape) * np.dtype(setup.sensor.dtype).itemsize
             needed_bytes = round(self._options.kept_s * self._options.rate_hz * image_bytes)
             self._tell(folder_problem(self._options.folder, needed_bytes))
 

@@ -76,7 +76,7 @@ def pixel_bytes(setup: Setup) -> int:
 
 def image_bytes(setup: Setup) -> int:
     """Return the bytes of an image as it lies in memory."""
-    return setup.camera.height * setup.camera.width * pixel_bytes(setup)
+    return math.prod(setup.frame_shape) * pixel_bytes(setup)
 
 
 def transfer_s(n_bytes: int) -> float:

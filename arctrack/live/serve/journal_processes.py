@@ -58,7 +58,7 @@ def open_journal(
     with ExitStack() as opened:
         try:
             remove_dead_rings()
-            journal = Journal(run, (setup.camera.height, setup.camera.width), setup.sensor.dtype, slots)
+            journal = Journal(run, setup.frame_shape, setup.sensor.dtype, slots)
         except RingError as error:
             raise in_file(cell.path, f"[black_box] seconds = {kept_s:g}: {error}; choose fewer") from None
         opened.callback(journal.close)

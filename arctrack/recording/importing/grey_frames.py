@@ -112,11 +112,12 @@ def grey_frames(
 
     Raises ArctrackError for the luminance of a mosaic, and for an effect that is stated in px of one.
     """
-    setup, camera = stated.setup, stated.setup.camera
+    setup = stated.setup
     channel = channel or channel_of_laser(setup)
     text = setup_text(stated.path)
     size, has_colours = _first(series)
-    stated_size = (camera.width, camera.height)
+    height, width = setup.frame_shape
+    stated_size = (width, height)
     if bayer is None:
         return GreyFrames(series, channel, None, stated_size, setup, text, has_colours)
     if channel is Channel.LUMINANCE:

@@ -2,14 +2,22 @@
 
 import math
 import shutil
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from arctrack.errors import ArctrackError
-from arctrack.recording import BadFrame, Recording, RecordingWriter, read_recording, read_setup_file
+from arctrack.errors import ArctrackError, in_file
+from arctrack.recording import (
+    BadFrame,
+    Recording,
+    RecordingWriter,
+    SetupFile,
+    read_recording,
+    read_setup_file,
+)
 from arctrack.recording.files import UNFINISHED_SUFFIX
 from arctrack.recording.importing.colours import Bayer, Channel
 from arctrack.recording.importing.columns import CsvColumns, check_all_named
@@ -25,6 +33,7 @@ from arctrack.recording.importing.conditions import (
 from arctrack.recording.importing.grey_frames import GreyFrames, grey_frames
 from arctrack.recording.importing.image_files import ImageSeries, check_decimals, find_images, times_in_names
 from arctrack.recording.importing.pose_files import PoseFile, known_names, read_poses
+from arctrack.recording.importing.profile_files import ProfileLayout, write_frames
 from arctrack.recording.importing.units import UNSTATED, Units
 from arctrack.recording.poses import can_channel
 from arctrack.recording.reader import fitted
@@ -47,6 +56,7 @@ class ImportSources:
     times. `units` are those that the user states, `columns` maps a quantity to its header. Current and
     exposure, A and s, hold for all images. `channel` is the colour that becomes grey, by default the laser's;
     `bayer` is the images' mosaic.
+    Of a profiler, `sources` are files of profiles in the layout `profile`.
     """
 
     sources: Sequence[Path]
@@ -63,6 +73,7 @@ class ImportSources:
     exposure_s: float | None = None
     channel: Channel | None = None
     bayer: Bayer | None = None
+    profile: ProfileLayout | None = None
 
 
 @dataclass(frozen=True)
@@ -84,6 +95,23 @@ def import_recording(
     is left then.
     """
     stated = read_setup_file(raw.setup)
+    profiler = stated.setup.profiler
+    if (profiler is None) != (raw.profile is None):
+        problem = (
+            "gives images: leave --profile out" if profiler is None else "is a profiler's: give --profile"
+        )
+        raise in_file(raw.setup, f"[camera] {problem}")
+    if profiler is None or raw.profile is None:
+        return _import_images(raw, stated, out, on_frame)
+    with tempfile.TemporaryDirectory() as folder:
+        note = write_frames(raw.sources, raw.profile, profiler, Path(folder))
+        made = _import_images(replace(raw, sources=[Path(folder)]), stated, out, on_frame)
+    notes = {name: text for name, text in made.notes.items() if name not in ("images", "grey")}
+    return replace(made, notes={"profiles": note, **notes})
+
+
+def _import_images(raw: ImportSources, stated: SetupFile, out: Path, on_frame: OnFrame) -> ImportResult:
+    """Make a recording of images under a setup."""
     series = find_images(raw.sources)
     names = None
     if raw.times_in_names:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from arctrack.recording.ffv1 import VideoFile
-from arctrack.report.image import annotate, visible
+from arctrack.report.image import annotate, frame_picture
 from noise_model.compiled.arrays import UInt8
 from noise_model.setup import Setup
 from robot_io import SeamOffset, Validity
@@ -43,7 +43,7 @@ def picture_of(setup: Setup, frame: Frame | None, track: Track, offset: SeamOffs
     if frame is None:
         picture = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
     else:
-        picture = annotate(visible(frame.image_dn, setup.sensor), track, camera)
+        picture = annotate(frame_picture(frame, setup), track, camera)
     if zoom > 1:
         picture = np.repeat(np.repeat(picture, zoom, axis=0), zoom, axis=1)
     width, height = _size_px(setup)

@@ -12,7 +12,7 @@ from arctrack.output import writing
 from arctrack.recording import Recording, Truth
 from arctrack.recording.score import errors_mm, score
 from arctrack.report import style
-from arctrack.report.image import seam_point_px, stripe_points_px, visible
+from arctrack.report.image import frame_picture, seam_point_px, stripe_points_px
 from noise_model.setup import Setup
 from robot_io import SeamOffset, Validity
 from tracker import flags
@@ -145,7 +145,7 @@ def _sample(axes: Axes, overview: Overview) -> None:
     axes.set_title(
         f"frame {frame.index} at {frame.timestamp_s:.2f} s, brightness by √", loc="left", fontsize=10
     )
-    axes.imshow(visible(frame.image_dn, setup.sensor), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    axes.imshow(frame_picture(frame, setup), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
     if track.stripe is not None:
         x, y = stripe_points_px(track.stripe).T
         axes.plot(x, y, ".", color=style.ORANGE, markersize=1.2, label="fitted stripe")

@@ -12,7 +12,7 @@ from arctrack.replay.explain import arc_light
 from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from arctrack.replay.pages.overlay import picture_of
 from arctrack.report.data_uri import uri
-from arctrack.report.image import jpeg, project_tool_point, shrunk, visible
+from arctrack.report.image import frame_picture, jpeg, project_tool_point, shrunk, visible
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene
 from noise_model.compiled.arrays import Bool, Float64, UInt8
@@ -76,11 +76,11 @@ class Viewer:
         The light that is expected over the whole image takes most of the time; it can be left out.
         """
         geometry, track, reading = self.geometry, seen.track, seen.reading
-        camera, sensor = geometry.setup.camera, geometry.setup.sensor
+        camera = geometry.setup.camera
         nowhere = np.full((geometry.n_scan, 2), np.nan)
         true_mm = self.truth_mm.get(track.frame)
         empty = ReplayView(
-            grey=None if frame is None else visible(frame.image_dn, sensor),
+            grey=None if frame is None else frame_picture(frame, geometry.setup),
             arc_grey=None,
             stripe_px=nowhere,
             saturated=np.zeros(geometry.n_scan, dtype=bool),
@@ -92,7 +92,9 @@ class Viewer:
         )
         if frame is None or reading is None or reading.scene.below_surface:
             return empty
-        seen_so_far = replace(empty, arc_grey=self._arc_grey(frame, reading)) if shows_arc_light else empty
+        seen_so_far = empty
+        if shows_arc_light and geometry.setup.profiler is None:
+            seen_so_far = replace(empty, arc_grey=self._arc_grey(frame, reading))
         expected = expect_stripe(geometry, reading.scene)
         if expected is None:
             return seen_so_far

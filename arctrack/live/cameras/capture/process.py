@@ -29,8 +29,7 @@ def run_capture(open_source: Open, setup: Setup, name: str, parent: Connection, 
     try:
         source = open_source(partial(read_line, name))
         try:
-            camera = setup.camera
-            with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
+            with SharedFramesWriter(name, *setup.frame_shape, setup.sensor.dtype) as frames:
                 parent.send([])
                 if wait([parent, loop.fileno()]) == [loop.fileno()]:
                     _publish(source, open_source, frames, name, parent, loop)

@@ -1,0 +1,131 @@
+"""Seams from profiles: the trace among false echoes, and sections with noise, dropouts and echoes."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from noise_model.arc.scene import make_scene
+from noise_model.compiled.arrays import Float64
+from noise_model.drawn_profile import draw_profile
+from noise_model.instrument.profiler import SENSOR, Profiler
+from noise_model.setup import Setup
+from noise_model.setup_keys import Tolerance
+from noise_model.surface.joint import Joint, SeamLine
+from tracker.state import Frame, Pose
+from tracker.stripe.profile_trace import BEGIN_NATS, ECHO_NATS, EDGE_NATS, TURN, likeliest_trace
+from tracker.tracker import Tracker
+
+JOINTS = {
+    "v_groove": {"included_angle_deg": 60.0, "depth_mm": 6.0, "root_gap_mm": 1.0},
+    "fillet": {"included_angle_deg": 90.0},
+    "u_groove": {"depth_mm": 8.0, "root_radius_mm": 3.0, "bevel_angle_deg": 15.0, "root_gap_mm": 2.0},
+}
+
+
+def setup_of(type_name: str) -> Setup:
+    T_tool_profile = np.eye(4)
+    T_tool_profile[0, 3] = 40.0
+    sensor = Profiler(1280, 0.03, 60.0, 150.0, T_tool_profile)
+    joint = Joint(
+        type=type_name,
+        dimensions=JOINTS[type_name],
+        seam_in_base_mm=((0.0, 0.0, 0.0), (200.0, 0.0, 0.0)),
+        surface_normal_in_base=(0.0, 0.0, 1.0),
+    )
+    return Setup(
+        camera=sensor.camera,
+        sensor=SENSOR,
+        laser=sensor.laser,
+        joint=joint,
+        tolerance=Tolerance(hand_eye_deg=0.0, hand_eye_mm=0.0),
+        profiler=sensor,
+    )
+
+
+def cost_of(chosen: tuple[bool, ...], scan: Float64, off_px: Float64, sigma_px: float) -> float:
+    """Return the cost of a choice of points by its definition, point by point."""
+
+    def follows(n: int, last: int) -> float:
+        variance = 2.0 * sigma_px**2 + (TURN * (scan[n] - scan[last])) ** 2
+        return float(0.5 * (off_px[n] - off_px[last]) ** 2 / variance)
+
+    cost, last, run = 0.0, -1, False
+    for n, on_trace in enumerate(chosen):
+        if not on_trace:
+            cost += ECHO_NATS + (min(follows(n, n - 1), BEGIN_NATS) if run else BEGIN_NATS)
+        elif last >= 0:
+            cost += min(follows(n, last), EDGE_NATS)
+        last, run = (n if on_trace else last), not on_trace
+    return cost
+
+
+@given(st.lists(st.sampled_from([0.0, 0.5, -0.7, 12.0, 13.0, -9.0]), min_size=1, max_size=9))
+def test_trace_is_the_likeliest_of_all_choices(off: list[float]) -> None:
+    off_px, scan = np.array(off), np.cumsum(np.arange(len(off)) % 3 + 1.0)
+    best = min(
+        cost_of(chosen, scan, off_px, 0.5)
+        for chosen in product([False, True], repeat=len(off))
+        if any(chosen)
+    )
+    found = tuple(likeliest_trace(scan, off_px, 0.5).tolist())
+    assert cost_of(found, scan, off_px, 0.5) == pytest.approx(best)
+
+
+def test_runs_of_echoes_on_either_side_are_left_out() -> None:
+    rng = np.random.default_rng(0)
+    off_px = rng.normal(0.0, 1.0, 600)
+    is_echo = np.zeros(600, np.bool_)
+    for start, away in ((50, 40.0), (200, -60.0), (210, 90.0), (400, 30.0)):
+        off_px[start : start + 10] += away
+        is_echo[start : start + 10] = True
+    on_trace = likeliest_trace(np.arange(600.0), off_px, 1.0)
+    assert not on_trace[is_echo].any()
+    assert on_trace[~is_echo].mean() > 0.9
+
+
+def test_an_upright_edge_stays_on_the_trace() -> None:
+    off_px = np.where(np.arange(400) < 200, 0.0, 100.0) + np.random.default_rng(0).normal(0.0, 1.0, 400)
+    on_trace = likeliest_trace(np.arange(400.0), off_px, 1.0)
+    assert min(on_trace[:200].mean(), on_trace[200:].mean()) > 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("type_name", JOINTS)
+def test_error_over_sigma_of_drawn_profiles(type_name: str) -> None:
+    setup, rng = setup_of(type_name), np.random.default_rng(1)
+    tracker, errors = Tracker(setup), []
+    for n in range(60):
+        T_base_tool = np.eye(4)
+        T_base_tool[:3, 3] = 20.0 + n, 0.4 * np.sin(0.2 * n), 0.3
+        scene = make_scene(setup, T_base_tool, SeamLine(0.0, 0.6, -0.2, 0.0, 0.0, 0.0))
+        image = draw_profile(setup, scene, rng)
+        track = tracker.step(Frame(n, 0.1 * n, image, 0.001, arc_on=False), Pose(T_base_tool))
+        assert track.valid, track
+        height_mm = 0.0 if type_name == "fillet" else -JOINTS[type_name]["depth_mm"]
+        true_mm = 0.6 - T_base_tool[1, 3], height_mm - 0.2 - T_base_tool[2, 3]
+        errors.append(
+            [
+                (track.seam_tool_mm[1] - true_mm[0]) / track.sigma_y_mm,
+                (track.seam_tool_mm[2] - true_mm[1]) / track.sigma_z_mm,
+            ]
+        )
+    # 60 errors scatter by 9 %: 1.3 is three sigmas of that beyond 1.
+    assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 1.3
+    assert np.abs(errors).max() < 5.0
+
+
+def test_a_profile_without_heights_is_refused_by_name() -> None:
+    setup = setup_of("v_groove")
+    track = Tracker(setup).step(Frame(0, 0.0, np.zeros((2, 1280), np.uint16), 0.001), Pose(np.eye(4)))
+    assert not track.valid
+    assert "stripe_lost" in track.flag_names
+
+
+def test_an_image_in_a_profiles_place_is_refused() -> None:
+    setup = setup_of("v_groove")
+    with pytest.warns(UserWarning, match="a profile of 2 x 1280 uint16 is needed"):
+        track = Tracker(setup).step(Frame(0, 0.0, np.zeros((480, 1280), np.uint16), 0.001), Pose(np.eye(4)))
+    assert "frame_unreadable" in track.flag_names
