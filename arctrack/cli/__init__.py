@@ -26,6 +26,7 @@ from arctrack.cli.new import new
 from arctrack.cli.plan import plan
 from arctrack.cli.replay import replay
 from arctrack.cli.serve import serve
+from arctrack.cli.shift import shift
 from arctrack.cli.simulate import simulate
 from arctrack.cli.warm import warm
 from arctrack.errors import ArctrackError
@@ -48,6 +49,7 @@ app.command(epilog="Example: arctrack check examples/v_groove --out /tmp/check.p
 app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_groove.png")(inspect)
 app.command(epilog="Example: arctrack explain examples/v_groove 12 --out /tmp/frame_12.html")(explain)
 app.command(epilog="Example: arctrack find master/p1 master/p2 master/p3 --out master.json")(find)
+app.command(epilog="Example: arctrack shift master.json part.json --out shift.json")(shift)
 app.command(epilog="Example: arctrack new /tmp/my_sensor --joint lap")(new)
 app.command(
     "import",

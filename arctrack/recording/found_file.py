@@ -1,4 +1,4 @@
-"""File of found joints, arctrack-found/1: what `arctrack find` writes."""
+"""File of found joints, arctrack-found/1: what `arctrack find` writes and `arctrack shift` reads."""
 
 from __future__ import annotations
 
@@ -124,6 +124,24 @@ def add_found(path: Path, points: Iterable[FoundPoint]) -> str:
     former = write_keeping(path, whole.model_dump_json(indent=1) + "\n")
     before = "" if former is None else f"; the one before is {former.name}"
     return f"{path}: {len(held)} point{'' if len(held) == 1 else 's'}{before}"
+
+
+def found_in_both(master: Path, part: Path) -> dict[str, tuple[FoundPoint, FoundPoint]]:
+    """Return the points that two files hold by the same name and kind, and that were found in both.
+
+    ArctrackError where there is none, and for a point that is of another kind in the other file.
+    """
+    on_master = {point.name: point for point in read_found(master) if not point.refusal}
+    on_part = {point.name: point for point in read_found(part) if not point.refusal}
+    both = {name: (point, on_part[name]) for name, point in on_master.items() if name in on_part}
+    if not both:
+        raise in_file(part, f"points: none was found that {master} has too; give them the same names")
+    for name, (point, other) in both.items():
+        if point.kind != other.kind:
+            raise in_file(
+                part, f"points: {name} is of kind {other.kind}, in {master} {point.kind}; find it anew"
+            )
+    return both
 
 
 def _array(numbers: Any, unknown: float = math.nan) -> Float64:
