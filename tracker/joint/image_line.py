@@ -2,11 +2,11 @@
 
 Two plates that touch leave no gap in a stripe. Their seam is a line all the same: a dark slit, a bright rim,
 both next to each other, or the border of two plates that shine unlike. It crosses the stripe. It is sought
-off the stripe, on both sides of it and as far as `ALONG_MM` along the seam, on straight lines of every
-place and of all directions about the seam's.
+off the stripe, on both sides of it and as far as `ALONG_MM` along the seam, on lines of every place and of
+all directions about the seam's, which turn as the nominal line does.
 
 Of each column off the stripe the running median along the stripe is taken off, which takes the slow
-changes of brightness. What is left is divided by the column's robust scatter and summed along each straight
+changes of brightness. What is left is divided by the column's robust scatter and summed along each
 line. Two filters read the sum: an even one for a slit or a rim, an odd one for both. They are a bell times
 the Hermite polynomials of the fourth and third order, which see neither slope nor bow of the brightness, as
 the arc's reflection has. The sum of their squares over their variances, both of all the places that are
@@ -43,6 +43,9 @@ from tracker.state import SCAN, Y_MM
 ALONG_MM = 12.0
 """Reach along the seam on either side of the stripe over which its line is read."""
 
+COURSE_MM = np.linspace(-1.5 * ALONG_MM, 1.5 * ALONG_MM, 73)
+"""Distances along the nominal line at which its course is projected."""
+
 CLEAR_SIGMAS = 6.0
 """Half-width of the stripe's own light, in its sigmas."""
 
@@ -59,7 +62,7 @@ N_PIECES, MIN_PIECES = 12, 5
 """Pieces in which a line's course is read, and that must show it."""
 
 MIN_RADIUS_MM = 100.0
-"""1 sigma of a seam's curvature is that of a circle so large."""
+"""1 sigma of a seam's curvature off its nominal line's is that of a circle so large."""
 
 DARK_SHARES = 0.2, 0.6
 """Darkness over the rim's brightness. Below the first share it is the plate's texture, by more
@@ -82,18 +85,34 @@ class ImageLine:
 
 
 @dataclass(frozen=True)
+class _Course:
+    """Expected course of a seam across the stripe: its reach, px, and the first and last of its slopes.
+
+    Slopes are scan lines a pixel of distance. At `offsets_px` (n,) the nominal line leaves its tangent by
+    `bends` (n,) scan lines.
+    """
+
+    reach_px: float
+    first: float
+    last: float
+    offsets_px: Float64
+    bends: Float64
+
+
+@dataclass(frozen=True)
 class _Sums:
-    """The whitened columns (m, n_scan) at `offsets_px` (m,) from the stripe, summed along straight lines.
+    """The whitened columns (m, n_scan) at `offsets_px` (m,) from the stripe, summed along the seam's course.
 
     `along` (k, n_scan) are the sums over lines that meet the stripe in each scan line with the slopes (k,),
-    scan lines a pixel, over the root of how many columns they are of. `energy` (k, n_scan) is the two
-    filters' chi^2, 0 where too few columns tell it; the filters' 1 sigma is `width` scan lines,
-    each `column_mm` wide.
+    scan lines a pixel, and leave that direction by `bends` (m,), over the root of how many columns they are
+    of. `energy` (k, n_scan) is the two filters' chi^2, 0 where too few columns tell it; the filters' 1 sigma
+    is `width` scan lines, each `column_mm` wide.
     """
 
     white: Float64
     offsets_px: Float64
     slopes: Float64
+    bends: Float64
     along: Float64
     energy: Float64
     width: float
@@ -119,10 +138,10 @@ def read_image_line(
     if min(len(section.y_mm), np.isfinite(path_px).sum()) < MIN_POINTS:
         return None
     path = _plates_path(path_px)
-    expected = _expected_slopes(geometry, scene, path)
+    expected = _expected_course(geometry, scene, path)
     if expected is None:
         return None
-    reach_px, first_slope, last_slope = expected
+    reach_px = expected.reach_px
     guard_px = math.ceil(CLEAR_SIGMAS * stripe_sigma_px)
     # Columns that are read on either side: more are averaged into so many.
     averaged = max(1, math.ceil((reach_px - guard_px) / 40))
@@ -138,13 +157,28 @@ def read_image_line(
     # Half the running median's length, over the line's 1 sigma.
     # Spatter's streaks point away from the arc as the seam does, and only add light.
     whiten(columns, math.ceil(5.0 * width), 0.0 if arc_burns else CLIP_SIGMAS, white)
-    n_slopes = 2 + math.ceil(abs(last_slope - first_slope) * reach_px / width)
-    slopes = np.linspace(first_slope, last_slope, n_slopes)
+    n_slopes = 2 + math.ceil(abs(expected.last - expected.first) * reach_px / width)
+    slopes = np.linspace(expected.first, expected.last, n_slopes)
+    bends = np.interp(offsets_px, expected.offsets_px, expected.bends, left=np.nan, right=np.nan)
+    white[np.isnan(bends)] = np.nan
+    bends = np.nan_to_num(bends)
     along, counts = np.empty((2, n_slopes, len(path)))
-    sum_along(white, offsets_px, slopes, along, counts)
+    sum_along(white, offsets_px, slopes, bends, along, counts)
     # A line that leaves the image within more of its columns is not summed.
     energy = _energy(along, counts >= 0.5 * len(offsets_px), width, arc_burns)
-    return _place(section, _Sums(white, offsets_px, slopes, along, energy, width, section.column_mm))
+    return _place(
+        section,
+        _Sums(
+            white=white,
+            offsets_px=offsets_px,
+            slopes=slopes,
+            bends=bends,
+            along=along,
+            energy=energy,
+            width=width,
+            column_mm=section.column_mm,
+        ),
+    )
 
 
 def _plates_path(path_px: Float64) -> Float64:
@@ -156,29 +190,38 @@ def _plates_path(path_px: Float64) -> Float64:
     return np.interp(np.arange(len(path_px)), is_read, read_px - off_px)
 
 
-def _expected_slopes(
-    geometry: SensorGeometry, scene: Scene, path_px: Float64
-) -> tuple[float, float, float] | None:
-    """Return the distance from the stripe to which a seam is followed, px, and the range of its slopes.
-
-    Slopes are scan lines a pixel of distance from the stripe. None where it is not seen to cross the stripe.
-    """
+def _expected_course(geometry: SensorGeometry, scene: Scene, path_px: Float64) -> _Course | None:
+    """Return how a seam is expected to cross a stripe (n_scan,), px; None where it is not seen to."""
     sheet = sheet_in(scene.T_joint_tool, geometry.stripe_source.sheet)
     nx, _, _, d = plane_met(sheet, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     # The line's direction may be off the expected seam's by so much.
     turn = math.radians(10.0) * np.array([-1.0, -1.0, 1.0, 1.0])
     along = ALONG_MM * np.array([-1.0, 1.0, -1.0, 1.0])
-    points = np.column_stack([-d / nx + along * np.cos(turn), along * np.sin(turn), np.zeros(4)])
-    camera = geometry.setup.camera
+    ends = np.column_stack([along * np.cos(turn), along * np.sin(turn), np.zeros(4)])
+    nominal = geometry.seam_source.line.course(-d / nx, COURSE_MM)[:, :3]
+    camera, points = geometry.setup.camera, np.vstack([ends, nominal]) - (d / nx, 0.0, 0.0)
     seen = geometry.scan_points(camera.project(transform(invert(scene.T_joint_camera), points)))
-    across, spacing = (seen[1::2] - seen[::2]).T
     lean = float(np.polyfit(np.arange(len(path_px)), path_px, 1)[0])
+    across, spacing = (seen[1:4:2] - seen[:4:2]).T
     # In pixels from the stripe itself, which may lie skewed to the scan lines.
     spacing = spacing - lean * across
     if not (np.abs(spacing) > MIN_PIECES).all() or spacing[0] * spacing[1] < 0.0:
         return None
-    first, last = across / spacing
-    return 0.5 * float(np.abs(spacing).min()), float(first), float(last)
+    first, last = (across / spacing).tolist()
+    middle = len(COURSE_MM) // 2
+    across, off_px = (seen[4:] - seen[4 + middle]).T
+    off_px = math.copysign(1.0, spacing[0]) * (off_px - lean * across)
+    # A line that turns back along the stripe is followed up to there.
+    low = middle - int(np.argmin(np.append(np.diff(off_px[middle::-1]) < 0.0, False)))
+    high = middle + int(np.argmin(np.append(np.diff(off_px[middle:]) > 0.0, False)))
+    if not low < middle < high:
+        return None
+    slope = (across[middle + 1] - across[middle - 1]) / (off_px[middle + 1] - off_px[middle - 1])
+    followed = slice(low, high + 1)
+    bends = across[followed] - slope * off_px[followed]
+    off_px = math.copysign(1.0, spacing[0]) * off_px[followed]
+    order = np.argsort(off_px)
+    return _Course(0.5 * float(np.abs(spacing).min()), first, last, off_px[order], bends[order])
 
 
 @kernel(allocates=True)
@@ -231,8 +274,10 @@ def whiten(columns: Float64, half: int, max_bright: float, white: Float64) -> No
 
 
 @kernel
-def sum_along(white: Float64, offsets_px: Float64, slopes: Float64, along: Float64, counts: Float64) -> None:
-    """Sum columns (m, n) along lines of slopes (k,) that meet the stripe in each scan line.
+def sum_along(
+    white: Float64, offsets_px: Float64, slopes: Float64, bends: Float64, along: Float64, counts: Float64
+) -> None:
+    """Sum columns (m, n) along lines of slopes (k,), bent by (m,), that meet the stripe in each scan line.
 
     Writes the sums over the roots of how many columns they are of, and these counts, (k, n) both.
     """
@@ -241,7 +286,7 @@ def sum_along(white: Float64, offsets_px: Float64, slopes: Float64, along: Float
         for s in range(n):
             along[a, s], counts[a, s] = 0.0, 0.0
         for j in range(white.shape[0]):
-            away = slopes[a] * offsets_px[j]
+            away = slopes[a] * offsets_px[j] + bends[j]
             whole = math.floor(away)
             share = away - whole
             for s in range(max(0, -whole), min(n, n - 1 - whole)):
@@ -371,9 +416,9 @@ def _piece(
     half = len(section) // 2
     x = np.arange(-2 * half, 2 * half + 1)
     lines = np.arange(sums.white.shape[1])
-    light = np.zeros(len(x))
+    light, away = np.zeros(len(x)), sums.slopes[slope] * sums.offsets_px + sums.bends
     for j in columns:
-        light += np.interp(line + sums.slopes[slope] * sums.offsets_px[j] + x, lines, sums.white[j])
+        light += np.interp(line + away[j] + x, lines, sums.white[j])
     light /= math.sqrt(len(columns))
     expected = section * math.sqrt(len(columns) / len(sums.offsets_px))
     fit = np.correlate(light, expected, "valid")

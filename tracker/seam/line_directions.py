@@ -70,6 +70,22 @@ class LineDirections(NamedTuple):
         before, behind = self.at(np.array([station_mm - way_mm, station_mm + way_mm]))
         return 0.25 * way_mm * float(np.linalg.norm(behind - before, axis=1).max())
 
+    def course(self, station_mm: float, along_mm: Float64) -> Float64:
+        """Return point, way, left and up of the line as rows (n, 12), at distances from a station, mm.
+
+        The distances (n,) are evenly spaced about 0. All are in the frame on the line at the station.
+        """
+        axes = self.at(station_mm + along_mm)
+        ways = np.cross(axes[:, 0], axes[:, 1])
+        ways /= np.linalg.norm(ways, axis=1)[:, np.newaxis]
+        middle = len(along_mm) // 2
+        own = np.stack([ways[middle], *axes[middle]])
+        steps = 0.5 * (along_mm[1] - along_mm[0]) * (ways[1:] + ways[:-1])
+        points = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+        return np.hstack(
+            [(points - points[middle]) @ own.T, ways @ own.T, axes[:, 0] @ own.T, axes[:, 1] @ own.T]
+        )
+
     def straightened(self, station_mm: float, x_mm: Float64, y_mm: Float64, z_mm: Float64) -> Float64:
         """Return y and z (2, n) of points as each lies across the line at its own foot on it, mm.
 
@@ -77,19 +93,9 @@ class LineDirections(NamedTuple):
         cuts a seam askew shows each of them at another station.
         """
         along_mm = np.arange(-COURSE_MM, COURSE_MM + COURSE_STEP_MM, COURSE_STEP_MM)
-        axes = self.at(station_mm + along_mm)
-        ways = np.cross(axes[:, 0], axes[:, 1])
-        ways /= np.linalg.norm(ways, axis=1)[:, np.newaxis]
-        middle = len(along_mm) // 2
-        own = np.stack([ways[middle], *axes[middle]])
-        # As rows of one table: the course, the way, left and up there, in the frame at the middle.
-        steps = 0.5 * COURSE_STEP_MM * (ways[1:] + ways[:-1])
-        course = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
-        table = np.hstack(
-            [(course - course[middle]) @ own.T, ways @ own.T, axes[:, 0] @ own.T, axes[:, 1] @ own.T]
-        )
+        table = self.course(station_mm, along_mm)
         points, foot_mm = np.stack([x_mm, y_mm, z_mm]), x_mm
-        turn = np.gradient(ways @ own.T, COURSE_STEP_MM, axis=0)
+        turn = np.gradient(table[:, 3:6], COURSE_STEP_MM, axis=0)
         for _ in range(FOOT_STEPS):
             off, way, bent = (
                 np.array([np.interp(foot_mm, along_mm, column) for column in columns.T])
