@@ -45,7 +45,7 @@ def test_the_fit_is_its_twin(seed: int, shape: int, wrong: float) -> None:
     profile = spoil(measure(corners, (0.0, 0.0), rng), wrong, rng)
     used = np.abs(profile.y_mm) > 0.4 if shape == SHEETS else np.ones(len(profile.y_mm), dtype=bool)
     sigma = np.hypot(profile.sigma_px, 0.05)
-    fitted, covariance, chi2, weights = fit_section(shape, profile.points, sigma, used, 30.0, prior, start)
+    fitted, covariance, chi2, weights, _ = fit_section(shape, profile.points, sigma, used, 30.0, prior, start)
     move = profile.dy_mm, profile.dz_mm
     twin = twins.bisquare_fit(height, profile.y_mm, profile.z_mm, move, sigma, used, start, prior, 30.0)
     # A point at a corner lies on one face or the other by a hair, and its derivative with it.

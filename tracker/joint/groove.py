@@ -33,6 +33,7 @@ from tracker.joint.measured import (
     shift_of,
     two_angles,
 )
+from tracker.joint.mirror import fit_mirroring, without_mirrored
 from tracker.joint.misfit import SeamEdge
 from tracker.joint.section_fit import BISQUARE_WIDTH, ShapeFit
 from tracker.joint.section_shapes import GROOVE, ROUND_GROOVE
@@ -79,13 +80,14 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
 
     It is a U where its roundings' radius is stated.
     """
-    points, y_mm, half_mouth_mm = section.points, section.points[Y_MM], float(stated.corners_mm[-2, 0])
+    y_mm, half_mouth_mm = section.points[Y_MM], float(stated.corners_mm[-2, 0])
     shape, prior_sigma = GROOVE, PRIOR_SIGMA
     if not math.isnan(stated.radius_mm):
         shape, prior_sigma = ROUND_GROOVE, ROUND_PRIOR_SIGMA
     start = start_of(section, stated, len(prior_sigma))
     chosen = np.ones(len(y_mm), np.bool_)
-    fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
+    section, fit = fit_mirroring(shape, section, chosen, prior_sigma, start)
+    points = section.points
     if not math.isfinite(fit.chi2):
         return None
     shown = groove_coverage(fit, y_mm, half_mouth_mm)
@@ -120,7 +122,8 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     measured = measured_groove(shape, fit)
     # The root is where the bevels say, or hidden.
     # What fills a root stands higher than its bevels say, and hardly to one side.
-    return as_reported(section, measured, (SeamEdge(measured.y_mm, 0.03, 0.4, is_upright=False),))
+    edge = SeamEdge(measured.y_mm, 0.03, 0.4, is_upright=False)
+    return as_reported(without_mirrored(section, fit.shares), measured, (edge,))
 
 
 class GrooveCoverage(NamedTuple):
@@ -251,7 +254,7 @@ def weigh_root(
     likeliest = held[np.argmax(nats)]
     # What is left out next to the root was left out for the light that it mixes.
     weights = np.where(clear, weights[likeliest], fit.weights)
-    return ShapeFit(mean, covariance, float(chi2[likeliest]), weights)
+    return ShapeFit(mean, covariance, float(chi2[likeliest]), weights, fit.shares)
 
 
 @kernel(allocates=True)

@@ -22,6 +22,7 @@ from tracker.joint.measured import (
     shift_of,
     two_angles,
 )
+from tracker.joint.mirror import fit_mirroring, without_mirrored
 from tracker.joint.misfit import SeamEdge
 from tracker.joint.section_fit import ShapeFit
 from tracker.joint.section_shapes import HALF_GROOVE
@@ -84,7 +85,8 @@ def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     if math.isnan(wall_mm):
         return None
     start[WALL] = wall_mm
-    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start)
+    section, fit = fit_mirroring(HALF_GROOVE, section, clear, PRIOR_SIGMA, start)
+    points = section.points
     if not math.isfinite(fit.chi2):
         return None
     p = fit.parameters
@@ -103,7 +105,7 @@ def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     if weight_between(y_mm, fit.weights, wall_mm, mouth_mm) < MIN_POINTS:
         return None
     measured, wall = measured_half_v(fit, wall_mm, wall_variance_mm2)
-    return as_reported(section, measured, (wall,))
+    return as_reported(without_mirrored(section, fit.shares), measured, (wall,))
 
 
 def start_of(section: Section, stated: StatedJoint) -> Float64:
