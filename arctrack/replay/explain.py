@@ -106,6 +106,13 @@ class Explanation:
     look: StepObservation | None
 
 
+def check_gives_images(recording: Recording) -> None:
+    """Raise ArctrackError for a profiler's recording: what is explained is read from images."""
+    if recording.setup.profiler is not None:
+        cure = "images are explained; replay.html has each profile, its checks and its section"
+        raise in_file(recording.setup_path, f'[camera] kind = "profile": only {cure}')
+
+
 def explain(
     recording: Recording, index: int, use_arc_map: bool = True, on_frame: Callable[[int], None] | None = None
 ) -> Explanation:
@@ -113,9 +120,7 @@ def explain(
 
     Raises ArctrackError if the recording has no such frame, or if it cannot be read.
     """
-    if recording.setup.profiler is not None:
-        cure = "images are explained; replay.html has each profile, its checks and its section"
-        raise in_file(recording.setup_path, f'[camera] kind = "profile": only {cure}')
+    check_gives_images(recording)
     positions = range(position_of(recording, index) + 1)
     job = recorded_job(recording, use_arc_map=use_arc_map)
     outcomes = replay_without_bus(job, positions)
