@@ -47,7 +47,15 @@ MAX_STEPS, STEP_MM = 30, 1e-7
 
 
 class PartPoint(NamedTuple):
-    """A point by its name, found on the master part and on the part."""
+    """A point that was found on the master part and on the part.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    master, part : FoundJoint
+        The finds.
+    """
 
     name: str
     master: FoundJoint
