@@ -24,7 +24,9 @@ from tracker.profile import MIN_POINTS, EdgeAlongSeam, Section, triangulate
 from tracker.state import (
     AMPLITUDE_E,
     BESIDE_PX,
+    BIAS_PX,
     CENTRE_PX,
+    MISFIT_PX,
     N_LINES,
     N_ROWS,
     OWN_PX,
@@ -116,7 +118,7 @@ def read_profile(given: FrameInput, aim: Aim) -> ProfileReading:
     add_frame(before, frames, seen, after)
     lines = np.full((N_ROWS, n), math.nan)
     lines[CENTRE_PX], lines[OWN_PX], lines[SCAN], lines[N_LINES] = fits[:, 0], own, np.arange(n), 1.0
-    lines[-3:-1] = 0.0
+    lines[BIAS_PX], lines[MISFIT_PX] = 0.0, 0.0
     widen(after, own, ones, 0.0, lines[SIGMA_PX], lines[BESIDE_PX])
     stripe = Stripe(
         position_px=lines[CENTRE_PX],
