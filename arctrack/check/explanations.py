@@ -94,20 +94,33 @@ class WeighedCause:
     @property
     def is_read(self) -> bool:
         """True if the tracker reads most frames of the case without the mistake."""
-        return self.case is not None and 2 * self.case.n_read >= len(self.case.rows)
+        return self.case is not None and is_read(self.case)
+
+
+def is_read(case: CheckCase) -> bool:
+    """Return whether the tracker reads most frames of a case."""
+    return 2 * case.n_read >= len(case.rows)
 
 
 def explanations(case: CheckCase) -> list[WeighedCause]:
     """Return the explanations of a case, the likeliest first: as stated, each mistake, each part, unknown."""
     width = stripe_width(case)
     untried = sorted(_explained(case, width), key=lambda explanation: -explanation.ln_posterior)
-    tried = [_tried(explanation) for explanation in untried[:MAX_TRIED]]
+    tried = harmless(case, [_tried(explanation) for explanation in untried[:MAX_TRIED]])
     n = len(case.rows)
     unknown = LN_PRIOR_UNKNOWN + _ln_width(width.ln_ratio, WRONG_WIDTH_SPREAD) + _ln_read(0, n, READ_UNKNOWN)
     tried.append(WeighedCause("", "", None, unknown))
     shares = softmax([explanation.ln_posterior / POOLED_NATS for explanation in tried])
     ranked = [replace(each, probability=float(share)) for each, share in zip(tried, shares, strict=True)]
     return sorted(ranked, key=lambda explanation: -explanation.ln_posterior)
+
+
+def harmless(case: CheckCase, tried: list[WeighedCause]) -> list[WeighedCause]:
+    """Return the causes but those whose cure takes from the tracker the frames that it reads as stated.
+
+    Lines may lie on a glint where the tracker finds the stripe.
+    """
+    return [each for each in tried if each.is_as_stated or each.is_read] if is_read(case) else tried
 
 
 def explains_as_stated(ranked: Sequence[WeighedCause]) -> bool:

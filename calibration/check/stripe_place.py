@@ -413,7 +413,7 @@ class _StripePlaceProblem:
         seen_px = self.points_px + np.tensordot([x[name] for name in SHAPE_BLOCK], self.bends_px, axes=1)
         here_mm, shifted_mm = self._off_mm(setup, np.stack([seen_px, seen_px + self.across]), x)
         with np.errstate(divide="ignore", invalid="ignore"):
-            off_px = here_mm / (shifted_mm - here_mm)
+            off_px: Float64 = here_mm / (shifted_mm - here_mm)
         return np.clip(np.nan_to_num(off_px / self.sigma_px, nan=FAR), -FAR, FAR)
 
     @cached_property
@@ -436,8 +436,7 @@ class _StripePlaceProblem:
         in_joint[:, 1] -= x["seam_y"] + x["seam_slope_y"] * along + self.bends.y_mm(x, in_joint[:, 0])
         in_joint[:, 2] -= x["seam_z"] + x["seam_slope_z"] * along
         in_joint[:, 2] -= math.radians(x["part_roll"]) * in_joint[:, 1]
-        off_mm: Float64 = _off_section(setup, in_joint).reshape(points_px.shape[:2])
-        return off_mm
+        return _off_section(setup, in_joint).reshape(points_px.shape[:2])
 
     def displacement(self, stated: Fit) -> tuple[float, float]:
         """Return the points' median distance from their nominal places, px, and its expected 1 sigma."""

@@ -14,7 +14,7 @@ from mistaken import MISTAKES, edit_frames, edit_setup, edit_table, scale
 from typer.testing import CliRunner
 
 from arctrack.check.check_sample import CheckCase, case_of, chosen_rows
-from arctrack.check.explanations import WeighedCause
+from arctrack.check.explanations import WeighedCause, harmless
 from arctrack.check.hint import hint_of, likely_mistake
 from arctrack.check.named_keys import named_keys
 from arctrack.cli import app
@@ -276,6 +276,15 @@ AS_STATED, UNKNOWN = explained("", 0.0, 0), WeighedCause("", "", None, 5.0, 0.1)
 def test_only_a_cure_that_lets_frames_be_read_is_named(ranked: list[WeighedCause], said: str | None) -> None:
     hint = hint_of(ranked)
     assert (None if hint is None else str(hint)) == said
+
+
+def test_a_cure_that_loses_the_frames_is_no_cause() -> None:
+    lost, kept = explained("part", 100.0, 4), explained("laser", 90.0, 5)
+    read, unread = explained("", 0.0, 8), AS_STATED
+    assert read.case is not None
+    assert unread.case is not None
+    assert harmless(read.case, [lost, kept, read]) == [kept, read]
+    assert harmless(unread.case, [lost, kept, unread]) == [lost, kept, unread]
 
 
 def test_the_keys_that_a_line_names_are_explained() -> None:
