@@ -34,6 +34,9 @@ from tracker.state import DY_MM, DZ_MM, MIRROR_PX, MISFIT_PX, Y_MM, Z_MM
 COARSE_ROUND = (0, 1, 2, 8, 14, 20, 25, 26, 31, 37, 43, 49, 50, 51)
 """The corners of a round groove between which its faces count as mirrors."""
 
+FLUSH_MM = 1e-3
+"""A face that stands out of another one's plane by less sees nothing of it."""
+
 
 @kernel
 def _place_off(P: Point, Q: Point, towards: Point) -> float:
@@ -99,6 +102,15 @@ def bell_pull_px(off_px: float, width_px: float, own_px: float) -> float:
     return float(off_px * shared * math.exp(-0.5 * off_px * off_px / square))
 
 
+@kernel
+def _stands_before(face: Float64, other: Float64) -> bool:
+    """Return True if a part of a face lies in front of another one's plane."""
+    my, mz = _normal(other)
+    first = (face[0, 0] - other[0, 0]) * my + (face[0, 1] - other[0, 1]) * mz
+    last = (face[1, 0] - other[0, 0]) * my + (face[1, 1] - other[0, 1]) * mz
+    return bool(max(first, last) > FLUSH_MM)
+
+
 @kernel(allocates=True)
 def mirror_pulls_px(section: Section, corners: Float64, seam_mm: float) -> Float64:
     """Return how far stripes that the right side and the left mirror move centres, (2, n) px, at shares of 1.
@@ -109,9 +121,17 @@ def mirror_pulls_px(section: Section, corners: Float64, seam_mm: float) -> Float
     n, pulls, k = points.shape[1], np.zeros((2, points.shape[1])), 0
     camera, laser = (eye[0], eye[1], eye[2]), (section.laser_mm[0], section.laser_mm[1], section.laser_mm[2])
     normal, turned = (sheet[0], sheet[1], sheet[2]), sheet[0] * section.slope_sigma
+    n_faces = corners.shape[0] - 1
+    facing = np.zeros((n_faces, n_faces), np.bool_)
+    for i in range(n_faces):
+        for j in range(n_faces):
+            face, other = corners[i : i + 2], corners[j : j + 2]
+            facing[i, j] = i != j and _stands_before(face, other) and _stands_before(other, face)
     for i in range(n):
         y, z, dy, dz = points[Y_MM, i], points[Z_MM, i], points[DY_MM, i], points[DZ_MM, i]
         k = face_under(y, k, corners)
+        if not facing[k].any():
+            continue
         own = corners[k : k + 2]
         my, mz = _normal(own)
         P = laser[0] - (sheet[1] * (y - laser[1]) + sheet[2] * (z - laser[2])) / sheet[0], y, z
@@ -120,9 +140,9 @@ def mirror_pulls_px(section: Section, corners: Float64, seam_mm: float) -> Float
         t = ((y - eye[1]) * my + (z - eye[2]) * mz) / (way[1] * my + way[2] * mz)
         Q = eye[0] + t * way[0], eye[1] + t * way[1], eye[2] + t * way[2]
         own_px = math.hypot(sheet[3] / _place_off(P, Q, normal), psf_px)
-        for j in range(corners.shape[0] - 1):
+        for j in range(n_faces):
             other = corners[j : j + 2]
-            if j == k:
+            if not facing[k, j]:
                 continue
             for is_thrown in (False, True):
                 if is_thrown:
