@@ -86,6 +86,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         "check": {"recording", "report", "replay"},
         "live": {"recording", "control", "simulation", "replay"},
         "calibrate": {"recording", "report", "check"},
+        "bead": {"recording", "report", "calibrate"},
         "cli": {
             "recording",
             "control",
@@ -96,6 +97,7 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
             "check",
             "live",
             "calibrate",
+            "bead",
         },
     },
     "validation": {

@@ -155,7 +155,8 @@ def on_columns(y_mm: Float64, z_mm: Float64, profiler: Profiler) -> Float64:
     y, z, wanted = y_mm[known], z_mm[known], profiler.y_mm
     if len(y) < 2:
         return np.full(profiler.columns, np.nan)
-    pitch_mm = float(np.median(np.diff(y_mm[order])))
+    # Points of a cloud do not lie evenly: three of four distances are usual.
+    pitch_mm = float(np.quantile(np.diff(y_mm[order]), 0.75, method="lower"))
     after = np.clip(np.searchsorted(y, wanted - SAME * profiler.pitch_mm), 1, len(y) - 1)
     span = y[after] - y[after - 1]
     share = (wanted - y[after - 1]) / np.where(span > 0.0, span, 1.0)

@@ -1,0 +1,1 @@
+"""A weld's bead, measured in the profiles behind the torch."""
