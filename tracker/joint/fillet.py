@@ -70,7 +70,9 @@ def fit_fillet(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     # A gap that is stated needs no more evidence than none.
     if foot is not None and foot.nats > (0.0 if stated.gap_mm > 0.0 else MIN_EVIDENCE_NATS):
         chosen = outside_gap(y_mm, fit.parameters[0], foot)
-        fit = fit_points(CORNER, section.points, chosen, START_SIGMA_MM, prior_sigma, fit.parameters)
+        fit = fit_points(
+            CORNER, section.points, chosen, START_SIGMA_MM, prior_sigma, fit.parameters, fit.parameters
+        )
         if not math.isfinite(fit.chi2):
             return None
         plain = without_mirrored(section, fit.shares)

@@ -92,7 +92,7 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         return None
     shown = groove_coverage(fit, y_mm, half_mouth_mm)
     if shown.left_out > MUCH_LEFT_OUT:
-        wider = fit_points(shape, points, chosen, WIDER_MM, prior_sigma, start)
+        wider = fit_points(shape, points, chosen, WIDER_MM, prior_sigma, start, start)
         if math.isfinite(wider.chi2):
             shown_wider = groove_coverage(wider, y_mm, half_mouth_mm)
             if shown_wider.left_out < shown.left_out:
@@ -113,7 +113,7 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         chosen = outside_hidden_bevel(
             side * (y_mm - fit.parameters[0]), fit.parameters, sure_mm, half_mouth_mm
         )
-        fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
+        fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start, start)
         if not math.isfinite(fit.chi2):
             return None
     elif min(shown.right, shown.left) < MIN_POINTS:
@@ -268,7 +268,7 @@ def fit_gaps(
     for j in range(k):
         from_gap, sigma = start.copy(), prior_sigma.copy()
         from_gap[gap], sigma[gap] = GAPS[j], CELLS_MM[j]
-        held = fit_points(shape, points, clear, START_SIGMA_MM, sigma, from_gap)
+        held = fit_points(shape, points, clear, START_SIGMA_MM, sigma, from_gap, from_gap)
         chi2[j] = held.chi2
         for a in range(m):
             parameters[j, a] = held.parameters[a]

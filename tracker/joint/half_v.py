@@ -76,7 +76,7 @@ def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     points, y_mm, gap_mm = section.points, section.points[Y_MM], stated.gap_mm
     start = start_of(section, stated)
     clear = np.abs(y_mm - start[WALL]) > CLEAR_OF_EDGE_MM
-    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start)
+    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start, start)
     if not math.isfinite(fit.chi2):
         return None
     wall_mm, wall_variance_mm2 = upright_side(
@@ -99,7 +99,7 @@ def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         # known, and what lies there counts for nothing.
         sure_mm = wall_mm + max(gap_mm - SURE_SIGMAS * PRIOR_SIGMA[GAP], 0.0)
         clear &= (y_mm < sure_mm) | (y_mm > mouth_mm + SURE_MM)
-        fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start)
+        fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start, start)
         if not math.isfinite(fit.chi2):
             return None
     if weight_between(y_mm, fit.weights, wall_mm, mouth_mm) < MIN_POINTS:

@@ -76,13 +76,19 @@ class MeasuredJoint(NamedTuple):
 
 @kernel(allocates=True)
 def fit_points(
-    shape: int, points: Float64, used: Bool, start_sigma_mm: float, prior_sigma: Float64, start: Float64
+    shape: int,
+    points: Float64,
+    used: Bool,
+    start_sigma_mm: float,
+    prior_sigma: Float64,
+    start: Float64,
+    begin: Float64,
 ) -> ShapeFit:
     """Fit a shape of `section_fit` to a section's points, in px of stripe centre, with priors about `start`.
 
-    Those that are `used` (n,) count. A point may lie `start_sigma_mm` off the start. The fit's chi2 is NaN
-    where fewer points are used than the parameters need, and where it runs away. What `start` has beyond
-    `prior_sigma` (p,) stays as it is.
+    Those that are `used` (n,) count. A point may lie `start_sigma_mm` off where the fit begins. The fit's
+    chi2 is NaN where fewer points are used than the parameters need, and where it runs away. What `begin` has
+    beyond `prior_sigma` (p,) stays as it is.
     """
     n, m, count, is_mirrored = points.shape[1], prior_sigma.shape[0], 0, points[MIRROR_PX:].any()
     sigma, moves = np.empty(n), np.empty(n)
@@ -100,7 +106,16 @@ def fit_points(
         return ShapeFit(start[:m].copy(), np.empty((m, m)), math.nan, sigma, np.empty((2, 0)))
     # No point's height is known better.
     wide = start_sigma_mm / max(exact_median(moves[:count]), 1e-6)
-    fit = fit_section(shape, points, sigma, used, wide, prior_sigma, start)
+    fit = fit_section(
+        shape=shape,
+        points=points,
+        sigma=sigma,
+        used=used,
+        start_scale=wide,
+        prior_sigma=prior_sigma,
+        start=start,
+        begin=begin,
+    )
     if math.isfinite(fit.chi2) and not is_mirrored:
         add_shared_errors(shape, points, sigma, fit)
     return ShapeFit(fit.parameters[:m], fit.covariance, fit.chi2, fit.weights, fit.shares)

@@ -25,14 +25,20 @@ import numpy as np
 from noise_model.compiled.arrays import Bool, Float64, Point
 from noise_model.compiled.kernel import kernel
 from noise_model.surface.faces import face_under
-from tracker.joint.measured import START_SIGMA_MM, fit_points, section_corners
+from tracker.joint.measured import START_SIGMA_MM, fit_points
 from tracker.joint.section_fit import SHARE_SIGMA, ShapeFit
-from tracker.joint.section_shapes import ROUND_GROOVE
+from tracker.joint.section_shapes import N_CORNERS, ROUND_GROOVE, corners_of
 from tracker.profile import Section
 from tracker.state import DY_MM, DZ_MM, MIRROR_PX, MISFIT_PX, Y_MM, Z_MM
 
-COARSE_ROUND = (0, 1, 2, 8, 14, 20, 25, 26, 31, 37, 43, 49, 50, 51)
+COARSE_ROUND = np.array([0, 1, 2, 8, 14, 20, 25, 26, 31, 37, 43, 49, 50, 51])
 """The corners of a round groove between which its faces count as mirrors."""
+
+NEAR_MM = 0.03
+"""Distance of a point from the fit without mirrored stripes at which the next fit begins to trust it less."""
+
+FAR_WIDTHS = 6.0
+"""A mirrored stripe so many of the stripe's sigmas off moves no centre: exp(-9) of its pull is left."""
 
 FLUSH_MM = 1e-3
 """A face that stands out of another one's plane by less sees nothing of it."""
@@ -139,7 +145,8 @@ def mirror_pulls_px(section: Section, corners: Float64, seam_mm: float) -> Float
         # The ray of the next pixel meets the own face in Q.
         t = ((y - eye[1]) * my + (z - eye[2]) * mz) / (way[1] * my + way[2] * mz)
         Q = eye[0] + t * way[0], eye[1] + t * way[1], eye[2] + t * way[2]
-        own_px = math.hypot(sheet[3] / _place_off(P, Q, normal), psf_px)
+        off_a_pixel_mm = abs(_place_off(P, Q, normal))
+        own_px = math.hypot(sheet[3] / off_a_pixel_mm, psf_px)
         for j in range(n_faces):
             other = corners[j : j + 2]
             if not facing[k, j]:
@@ -147,9 +154,14 @@ def mirror_pulls_px(section: Section, corners: Float64, seam_mm: float) -> Float
             for is_thrown in (False, True):
                 if is_thrown:
                     off = thrown_off_mm(P, other, laser, normal, turned)
-                    change = thrown_off_mm(Q, other, laser, normal, turned) - off
                 else:
                     off = seen_off_mm(P, own, other, camera, laser, normal)
+                # Not so for NaN, of what is not mirrored.
+                if not abs(off) < FAR_WIDTHS * own_px * off_a_pixel_mm:
+                    continue
+                if is_thrown:
+                    change = thrown_off_mm(Q, other, laser, normal, turned) - off
+                else:
                     change = seen_off_mm(Q, own, other, camera, laser, normal) - off
                 if math.isnan(change) or change == 0.0:
                     continue
@@ -159,41 +171,59 @@ def mirror_pulls_px(section: Section, corners: Float64, seam_mm: float) -> Float
     return pulls
 
 
-def prior_scale(shares: Float64, variances: Float64) -> Float64:
-    """Return by how much the prior's sigma is less (k,) where a side may as well mirror nothing, by its fit.
+@kernel
+def prior_scale(share: float, variance: float) -> float:
+    """Return by how much the prior's sigma is less where a side may as well mirror nothing, by its fit.
 
     Both are as probable before. With its probability p by the evidence a share s of variance v has the
     variance p v + p (1 - p) s^2, which a normal prior about zero leaves too.
     """
-    squares, wide = shares**2 / variances, variances / SHARE_SIGMA**2
-    p = 1.0 / (1.0 + np.exp(-0.5 * (squares + np.log(wide))))
-    kept = p + p * (1.0 - p) * squares
-    return np.asarray(np.sqrt(np.minimum(wide * kept / np.maximum(1.0 - kept, 1e-9), 1.0)))
+    square, wide = share * share / variance, variance / SHARE_SIGMA**2
+    p = 1.0 / (1.0 + math.exp(-0.5 * (square + math.log(wide))))
+    kept = p + p * (1.0 - p) * square
+    return math.sqrt(min(wide * kept / max(1.0 - kept, 1e-9), 1.0))
+
+
+@kernel(allocates=True)
+def _fit_with_shares(
+    shape: int, section: Section, chosen: Bool, prior_sigma: Float64, start: Float64
+) -> tuple[Float64, ShapeFit]:
+    """Return a section's points with what mirrored stripes do to them, and the fit of a shape."""
+    points, m = section.points, prior_sigma.shape[0]
+    fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start, start)
+    if math.isnan(fit.chi2) or not abs(section.sheet[0]) > 0.0:
+        return points, fit
+    p = start.copy()
+    p[:m] = fit.parameters
+    corners = np.empty((N_CORNERS[shape], 2))
+    corners_of(shape, p, corners)
+    if shape == ROUND_GROOVE:
+        corners = corners[COARSE_ROUND]
+    seam_mm = 0.5 * (corners[corners.shape[0] // 2, 0] + corners[(corners.shape[0] - 1) // 2, 0])
+    pulls = mirror_pulls_px(section, corners, seam_mm)
+    if not pulls.any():
+        return points, fit
+    points = points.copy()
+    points[MIRROR_PX:] = pulls
+    fit = fit_points(shape, points, chosen, NEAR_MM, prior_sigma, start, p)
+    if math.isnan(fit.chi2):
+        return points, fit
+    p[:m] = fit.parameters
+    for i in range(points.shape[1]):
+        # Pulls are of first order: the next one is a share of them.
+        second_px = 0.0
+        for side in range(pulls.shape[0]):
+            points[MIRROR_PX + side, i] *= prior_scale(fit.shares[0, side], fit.shares[1, side])
+            second_px += fit.shares[0, side] ** 2 * abs(points[MIRROR_PX + side, i])
+        points[MISFIT_PX, i] = math.hypot(points[MISFIT_PX, i], second_px)
+    return points, fit_points(shape, points, chosen, NEAR_MM, prior_sigma, start, p)
 
 
 def fit_mirroring(
     shape: int, section: Section, chosen: Bool, prior_sigma: Float64, start: Float64
 ) -> tuple[Section, ShapeFit]:
     """Return a section with its mirrored stripes, and the fit of a shape to the chosen points (n,) of it."""
-    fit: ShapeFit = fit_points(shape, section.points, chosen, START_SIGMA_MM, prior_sigma, start)
-    if math.isnan(fit.chi2) or not abs(section.sheet[0]) > 0.0:
-        return section, fit
-    p = np.append(fit.parameters, start[len(prior_sigma) :])
-    corners_mm = section_corners(shape, p)
-    if shape == ROUND_GROOVE:
-        corners_mm = corners_mm[list(COARSE_ROUND)]
-    seam_mm = 0.5 * float(corners_mm[len(corners_mm) // 2, 0] + corners_mm[(len(corners_mm) - 1) // 2, 0])
-    pulls_px = mirror_pulls_px(section, corners_mm, seam_mm)
-    if not pulls_px.any():
-        return section, fit
-    points = np.vstack([section.points[:MIRROR_PX], pulls_px])
-    fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
-    if not math.isnan(fit.chi2):
-        shares, variances = fit.shares
-        points[MIRROR_PX:] *= prior_scale(shares, variances)[:, np.newaxis]
-        # Pulls are of first order: the next one is a share of them.
-        points[MISFIT_PX] = np.hypot(points[MISFIT_PX], shares**2 @ np.abs(points[MIRROR_PX:]))
-        fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
+    points, fit = _fit_with_shares(shape, section, chosen, prior_sigma, start)
     return section._replace(points=points), fit
 
 

@@ -250,19 +250,20 @@ def fit_section(
     start_scale: float,
     prior_sigma: Float64,
     start: Float64,
+    begin: Float64,
 ) -> ShapeFit:
     """Fit a section to points (n,), y rising; its chi2 is NaN if it cannot be.
 
     A point moves by `DY_MM`, `DZ_MM` with 1 px of its stripe centre, whose 1 sigma is `sigma` (n,) px:
     its residual is how far the centre would have to move to lie on the face, (z - f) / (dz - m dy). Only
-    `used` points count. The first len(prior_sigma) parameters have priors about `start` and are fitted; all
-    are returned. The scale of Tukey's weights begins at `start_scale` sigmas and halves: a narrow one would
-    cut off the few points that tell, such as a root's, for good.
+    `used` points count. The first len(prior_sigma) parameters have priors about `start` and are fitted, from
+    `begin` on; all are returned. The scale of Tukey's weights begins at `start_scale` sigmas and halves: a
+    narrow one would cut off the few points that tell, such as a root's, for good.
     """
     n, m = points.shape[1], prior_sigma.shape[0]
     n_corners = N_CORNERS[shape]
     corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
-    p, J, first = start.copy(), np.empty((n_corners, m, 2)), np.empty(n_corners, dtype=np.int64)
+    p, J, first = begin.copy(), np.empty((n_corners, m, 2)), np.empty(n_corners, dtype=np.int64)
     r, unit, weights, modes = np.empty(n), np.empty(n), np.empty(n), _modes_of(points, sigma)
     n_all = m + modes.shares.shape[0]
     covariance, information, gradient = np.empty((n_all, n_all)), np.empty((n_all, n_all)), np.empty(n_all)
