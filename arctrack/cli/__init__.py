@@ -51,7 +51,7 @@ app.command(epilog="Example: arctrack inspect examples/v_groove --out /tmp/v_gro
 app.command(epilog="Example: arctrack explain examples/v_groove 12 --out /tmp/frame_12.html")(explain)
 app.command(epilog="Example: arctrack find master/p1 master/p2 master/p3 --out master.json")(find)
 app.command(epilog="Example: arctrack shift master.json part.json --out shift.json")(shift)
-app.command(epilog="Example: arctrack bead welded --limit width_mm=4:8 --limit undercut_left_mm=:0.5")(bead)
+app.command(epilog="Example: arctrack bead monday --limit width_mm=4:8 --limit undercut_left_mm=:0.5")(bead)
 app.command(epilog="Example: arctrack new /tmp/my_sensor --joint lap")(new)
 app.command(
     "import",
