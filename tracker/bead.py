@@ -247,12 +247,11 @@ def _centred(y_mm: Float64, z_mm: Float64) -> _Profile | None:
     return _Profile(y_mm - middle_mm[0], z_mm - middle_mm[1], middle_mm).thinned(MAX_POINTS, MIN_EACH)
 
 
-def _coarse_toes(profile: _Profile, noise: Noise) -> tuple[Float64, Float64]:
+def _coarse_toes(coarse: _Profile, noise: Noise) -> tuple[Float64, Float64]:
     """Return the most probable toes (2,), and their 1 sigma (2,) about these by their posterior.
 
     They are sought among pairs of places, then among all points on either side in turn.
     """
-    coarse = profile.thinned(COARSE_POINTS)
     y_mm = coarse.y_mm[2:-2]
     places = y_mm[:: -(-len(y_mm) // TOE_PLACES)]
     pairs = [np.array([a, b]) for n, a in enumerate(places) for b in places[n + 1 :]]
@@ -281,7 +280,7 @@ def _fit_noise(profiles: Sequence[_Profile]) -> Noise:
     noise = Noise(*np.exp(NOISE_START))
     simplex = NOISE_START + np.vstack([np.zeros(5), np.eye(5)])
     for _ in range(2):
-        toes_mm = [_coarse_toes(profile, noise)[0] for profile in profiles]
+        toes_mm = [_coarse_toes(profile.thinned(COARSE_POINTS), noise)[0] for profile in profiles]
         fitted = minimize(
             lambda ln, toes_mm=toes_mm: (
                 -sum(
@@ -298,9 +297,9 @@ def _fit_noise(profiles: Sequence[_Profile]) -> Noise:
     return noise
 
 
-def _fine_toes(profile: _Profile, noise: Noise) -> tuple[Float64, Float64, Float64]:
-    """Return the toes' places (2,) between points, and their 1 sigma (2,)."""
-    (toes_mm, far_mm), y_mm = _coarse_toes(profile, noise), profile.y_mm
+def _fine_toes(profile: _Profile, noise: Noise, near_mm: Float64) -> tuple[Float64, Float64]:
+    """Return the toes' places (2,) between points, near some places, and their 1 sigma (2,)."""
+    toes_mm, y_mm = near_mm.copy(), profile.y_mm
     margin_mm = y_mm[2] - y_mm[0]
     sigma_mm = np.full(2, margin_mm)
     for side in (0, 1, 0, 1, 0, 1):
@@ -315,14 +314,17 @@ def _fine_toes(profile: _Profile, noise: Noise) -> tuple[Float64, Float64, Float
         sigma_mm[side] = math.hypot(
             math.sqrt(weight @ (grid - toes_mm[side]) ** 2), (grid[1] - grid[0]) / math.sqrt(12.0)
         )
-    # Another place that is nearly as probable counts as well.
-    return toes_mm, sigma_mm, np.maximum(sigma_mm, far_mm)
+    return toes_mm, sigma_mm
 
 
 def _measure(profile: _Profile, shared: Noise) -> Bead:
+    coarse = profile.thinned(COARSE_POINTS)
     noises = [shared._replace(texture_mm=ratio * shared.texture_mm) for ratio in TEXTURE_RATIOS]
-    noise = max(noises, key=lambda noise: profile.of_toes(_coarse_toes(profile, noise)[0], noise))
-    toes_mm, sigma_mm, spread_mm = _fine_toes(profile, noise)
+    searched = [(noise, *_coarse_toes(coarse, noise)) for noise in noises]
+    noise, near_mm, far_mm = max(searched, key=lambda search: coarse.of_toes(search[1], search[0]))
+    toes_mm, sigma_mm = _fine_toes(profile, noise, near_mm)
+    # Another place that is nearly as probable counts as well.
+    spread_mm = np.maximum(sigma_mm, far_mm)
     if profile.of_toes(toes_mm, noise) - profile.of_plates(noise) < MIN_EVIDENCE:
         return Bead("no_bead")
     best = profile.posterior(toes_mm, noise)

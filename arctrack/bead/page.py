@@ -50,7 +50,7 @@ def bead_page(
         headline=f"{len(seen)} of {len(slices)} profiles show the bead.",
         sentences=(
             "Each value is the mean over the seam, with its smallest and largest; σ is that of one profile.",
-            f"BeadLimits: {', '.join(stated) or 'none'}.",
+            f"Limits: {', '.join(stated) or 'none'}.",
         ),
         rows=tuple(rows),
         pictures=(
