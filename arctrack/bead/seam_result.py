@@ -86,7 +86,7 @@ def read_limits(texts: Sequence[str]) -> dict[str, BeadLimits]:
 def measured_slices(
     recording: Recording, progress: Callable[[int, int], None]
 ) -> tuple[list[Slice], list[tuple[Float64, Float64]]]:
-    """BeadMeasure the bead in all frames of a profiler's recording; return their places and heights (n,) too.
+    """Measure the bead in all frames of a profiler's recording; return their places and heights (n,) too.
 
     Raises ArctrackError for a camera's recording, and where no frame has the laser on.
     """

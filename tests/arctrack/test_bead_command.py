@@ -89,7 +89,7 @@ def test_a_weld_is_measured_against_its_limits(welded: Path, tmp_path: Path) -> 
     assert [one["problem"] for one in content["Slices"]] == [None, None, "no_bead", None]
     page = (tmp_path / "bead.html").read_text()
     assert "frame 2: no_bead" in page
-    assert "excess_mm at most 1" in page
+    assert "Limits: width_mm at least 5 and at most 7, excess_mm at most 1." in page
 
 
 @pytest.mark.parametrize(
