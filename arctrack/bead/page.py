@@ -1,10 +1,11 @@
 """bead.html: a seam's bead on one page."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from arctrack.bead.seam_result import BeadLimits, Evaluation, Slice, evaluation_of, overall
+from arctrack.bead.seam_result import BeadLimits, Evaluation, Slice
 from arctrack.calibrate.page import CalibrationPage, PagePicture, row_of
 from arctrack.report import style
 from arctrack.report.embedded import svg
@@ -25,13 +26,17 @@ DRAWN = 4
 
 
 def bead_page(
-    name: str,
+    result: Mapping[str, Any],
     slices: Sequence[Slice],
     profiles: Sequence[tuple[Float64, Float64]],
     limits: Mapping[str, BeadLimits],
 ) -> CalibrationPage:
-    """Return the page's content; `profiles` are places and heights (n,) of each slice, mm."""
-    mark, word = VERDICTS[evaluation_of(slices, limits)]
+    """Return the page's content.
+
+    `result` is that of `seam_result`, `profiles` are places and heights (n,) of each slice, mm.
+    """
+    about, content = result["ResultMetaData"], result["ResultContent"]
+    mark, word = VERDICTS[Evaluation(about["ResultEvaluation"])]
     seen = [n for n, part in enumerate(slices) if not part.bead.problem]
     rows = [
         row_of(
@@ -41,11 +46,11 @@ def bead_page(
             value["Sigma"],
             value["EngineeringUnits"],
         )
-        for value in overall(slices, limits)
+        for value in content["OverallResultValues"]
     ]
     stated = [f"{name} {limit}" for name, limit in limits.items()]
     return CalibrationPage(
-        title=f"arctrack measures the bead of {name}",
+        title=f"arctrack measures the bead of {about['Name']}",
         label=word,
         headline=f"{len(seen)} of {len(slices)} profiles show the bead.",
         sentences=(

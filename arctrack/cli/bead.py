@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +9,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli.inputs import look_at_recordings
+from arctrack.cli.json_output import json_text
 
 
 def bead(
@@ -29,11 +29,11 @@ def bead(
     """
     look_at_recordings([recording], None)
     from arctrack.bead.page import VERDICTS, bead_page
-    from arctrack.bead.seam_result import Evaluation, evaluation_of, measured_slices, read_limits, seam_result
+    from arctrack.bead.seam_result import Evaluation, measured_slices, read_limits, seam_result
     from arctrack.calibrate.page import render
     from arctrack.cli import console
     from arctrack.cli.exit_codes import NOTHING_TRACKED, WARNED
-    from arctrack.output import make_folder, whole_file
+    from arctrack.output import make_folder, write_whole
     from arctrack.recording import read_recording
 
     limits = read_limits(limit or [])
@@ -45,17 +45,15 @@ def bead(
     with console.progress() as progress:
         slices, profiles = measured_slices(read, console.steps(progress)("measuring", "profiles"))
     result = seam_result(read, slices, limits, time.perf_counter() - began_s)
-    with whole_file(folder / "seam.json") as path:
-        path.write_text(json.dumps(result, indent=2) + "\n")
-    with whole_file(folder / "bead.html") as path:
-        path.write_text(render(bead_page(read.name, slices, profiles, limits)))
+    write_whole(folder / "seam.json", json_text(result) + "\n")
+    write_whole(folder / "bead.html", render(bead_page(result, slices, profiles, limits)))
     shown = sum(not part.bead.problem for part in slices)
     for value in result["ResultContent"]["OverallResultValues"]:
         console.say(
             f"{value['Name']:20} {value['MeasuredValue']:8.3f} ± {value['Sigma']:.3f}, "
             f"{value['Smallest']:.3f} to {value['Largest']:.3f}"
         )
-    evaluation = evaluation_of(slices, limits)
+    evaluation = Evaluation(result["ResultMetaData"]["ResultEvaluation"])
     console.say(f"{shown} of {len(slices)} profiles show the bead; {VERDICTS[evaluation][1]}; {folder}")
     if shown == 0:
         raise typer.Exit(NOTHING_TRACKED)

@@ -1,4 +1,4 @@
-"""Results for programs: one JSON object on stdout; docs/reference/json_output.md names its keys."""
+"""Results for programs as JSON; docs/reference/json_output.md names the keys of those on stdout."""
 
 import json
 import math
@@ -12,9 +12,13 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object inst
 
 
 def say_json(command: str, content: Mapping[str, Any]) -> None:
-    """Print the result of a command; a number that is not known is null."""
-    whole = {"format": f"arctrack-{command}/1", **content}
-    print(json.dumps(_plain(whole), allow_nan=False, indent=1), flush=True)
+    """Print the result of a command."""
+    print(json_text({"format": f"arctrack-{command}/1", **content}), flush=True)
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return a result as JSON; a number that is not known is null."""
+    return json.dumps(_plain(content), allow_nan=False, indent=1)
 
 
 def _plain(value: Any) -> Any:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from arctrack.cli.inputs import check_can_be_replaced, look_at_file
+from arctrack.cli.json_output import json_text
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def shift(
         raise typer.Exit(NOTHING_TRACKED) from None
     console.say(*_lines(result, len(points)))
     if out is not None:
-        write_whole(out, _content(result))
+        write_whole(out, json_text(_content(result)) + "\n")
     if result.wrong is not None:
         raise typer.Exit(WARNED)
 
@@ -101,20 +102,16 @@ def _lines(shift: PartShift, n_points: int) -> list[str]:
     ]
 
 
-def _content(shift: PartShift) -> str:
-    """Return a shift as JSON."""
-    import json
-    import math
-
-    content = {
+def _content(shift: PartShift) -> dict[str, Any]:
+    """Return the content of a shift's file."""
+    return {
         "format": "arctrack-shift/1",
         "T_shift": shift.T_shift.tolist(),
         "center_mm": shift.center_mm.tolist(),
         "covariance": shift.covariance.tolist(),
         "sigma_mm": shift.sigma_mm,
-        "unnoticed_mm": shift.unnoticed_mm if math.isfinite(shift.unnoticed_mm) else None,
+        "unnoticed_mm": shift.unnoticed_mm,
         "chi2": shift.chi2,
         "redundancy": shift.redundancy,
         "wrong": None if shift.wrong is None else shift.wrong._asdict(),
     }
-    return json.dumps(content, indent=1) + "\n"
