@@ -5,35 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from profiler_setup import profiler_setup
 from typer.testing import CliRunner, Result
 
 from arctrack.bead.seam_result import BeadLimits, Evaluation
 from arctrack.cli import app
+from arctrack.cli.json_output import json_text
 from arctrack.errors import ArctrackError
 from tracker.bead import BeadMeasure
 
 RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
-SETUP = """\
-format = "joint-tracking-recording/1"
-units = "mm, s, deg, e-, DN"
-[camera]
-kind = "profile"
-columns = 480
-pitch_mm = 0.05
-range_mm = 40.0
-stand_off_mm = 150.0
-exposure_s = 0.001
-[camera.pose_in_tool]
-translation_mm = [-40.0, 0.0, 0.0]
-quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
-[joint]
-type = "v_groove"
-included_angle_deg = 60.0
-depth_mm = 3.0
-root_gap_mm = 0.0
-seam_in_base_mm = [[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]]
-surface_normal_in_base = [0.0, 0.0, 1.0]
-"""
+SETUP = profiler_setup(480, 0.05, ahead_mm=-40.0)
 WIDTH_MM, HEIGHT_MM, PLATE_FRAME = 6.0, 1.2, 2
 
 
@@ -75,7 +57,7 @@ def test_a_weld_is_measured_against_its_limits(welded: Path, tmp_path: Path) -> 
     # A profile shows none, and the bead is higher than allowed.
     assert done.exit_code == 1
     assert "3 of 4 profiles show the bead; beyond a limit" in done.output
-    result = json.loads((tmp_path / "seam.json").read_text())
+    result = json.loads((tmp_path / "seam.json").read_text(), parse_constant=pytest.fail)
     about, content = result["ResultMetaData"], result["ResultContent"]
     assert (about["ResultEvaluation"], about["IsPartial"]) == (Evaluation.NOT_OK, True)
     assert about["ProcessingTimes"]["EndTime"] == pytest.approx(0.3)
@@ -124,3 +106,5 @@ def test_what_a_sigma_leaves_open_is_not_decided() -> None:
     }
     assert {value: limits.evaluate(BeadMeasure(value, 0.1)) for value in cases} == cases
     assert limits.evaluate(BeadMeasure(0.6, 0.1)) == Evaluation.NOT_OK
+    assert limits.evaluate(BeadMeasure(1.5, float("nan"))) == Evaluation.NOT_DECIDABLE
+    assert json_text({"Sigma": float("nan")}) == '{\n "Sigma": null\n}'

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from profiler_setup import profiler_setup
 from typer.testing import CliRunner
 
 from arctrack.cli import app
@@ -17,27 +18,7 @@ from noise_model.instrument.profiler import Profiler
 
 RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
 COLUMNS, PITCH_MM = 20, 0.5
-SETUP = """\
-format = "joint-tracking-recording/1"
-units = "mm, s, deg, e-, DN"
-[camera]
-kind = "profile"
-columns = 20
-pitch_mm = 0.5
-range_mm = 40.0
-stand_off_mm = 150.0
-exposure_s = 0.001
-[camera.pose_in_tool]
-translation_mm = [40.0, 0.0, 0.0]
-quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
-[joint]
-type = "v_groove"
-included_angle_deg = 60.0
-depth_mm = 3.0
-root_gap_mm = 0.0
-seam_in_base_mm = [[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]]
-surface_normal_in_base = [0.0, 0.0, 1.0]
-"""
+SETUP = profiler_setup(COLUMNS, PITCH_MM)
 heights = st.lists(
     st.lists(st.integers(-1900, 1900) | st.none(), min_size=COLUMNS, max_size=COLUMNS), min_size=1, max_size=4
 )

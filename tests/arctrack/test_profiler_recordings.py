@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from profiler_setup import profiler_setup
 from typer.testing import CliRunner
 
 from arctrack.cli import app
@@ -18,27 +19,7 @@ from arctrack.recording.setup_file import parse_setup
 from tracker.state import Frame
 
 RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
-SETUP = """\
-format = "joint-tracking-recording/1"
-units = "mm, s, deg, e-, DN"
-[camera]
-kind = "profile"
-columns = 640
-pitch_mm = 0.06
-range_mm = 30.0
-stand_off_mm = 150.0
-exposure_s = 0.001
-[camera.pose_in_tool]
-translation_mm = [40.0, 0.0, 0.0]
-quaternion_xyzw = [0.0, 0.0, 0.0, 1.0]
-[joint]
-type = "v_groove"
-included_angle_deg = 60.0
-depth_mm = 6.0
-root_gap_mm = 1.0
-seam_in_base_mm = [[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]]
-surface_normal_in_base = [0.0, 0.0, 1.0]
-"""
+SETUP = profiler_setup(640, 0.06, range_mm=30.0, depth_mm=6.0, root_gap_mm=1.0)
 
 
 def run(*arguments: object) -> None:
