@@ -14,10 +14,10 @@ from noise_model.even_sample import evenly
 from tracker.bead import MEASURES
 
 VERDICTS = {
-    Evaluation.UNDEFINED: ("unknown", "no limit stated"),
+    Evaluation.UNDEFINED: ("ambiguous", "no limit stated"),
     Evaluation.OK: ("no_gap", "within the limits"),
-    Evaluation.NOT_OK: ("ambiguous", "beyond a limit"),
-    Evaluation.NOT_DECIDABLE: ("unknown", "not decidable"),
+    Evaluation.NOT_OK: ("unknown", "beyond a limit"),
+    Evaluation.NOT_DECIDABLE: ("ambiguous", "not decidable"),
 }
 """Colour and word of each evaluation."""
 
