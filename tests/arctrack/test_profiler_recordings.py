@@ -71,7 +71,9 @@ def test_a_recording_is_simulated_replayed_and_checked(tmp_path: Path) -> None:
     run("replay", made)
     summary = json.loads((made / "results" / "summary.json").read_text())
     assert summary["frames"]["valid"] == 4
-    assert (made / "results" / "replay.html").exists()
+    page = (made / "results" / "replay.html").read_text()
+    assert '"shows_light":false' in page
+    assert "brightness by" not in page
     run("check", made)
     with pytest.raises(ArctrackError, match="only images are explained"):
         raise RUNNER.invoke(app, ["explain", str(made), "1"]).exception or AssertionError

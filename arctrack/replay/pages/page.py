@@ -95,11 +95,15 @@ class ReplayPage:
 
     def _html(self, counts: str) -> str:
         tracks, setup = self._tracks, self._recording.setup
-        camera = setup.camera
+        camera, shows_light = setup.camera, setup.profiler is None
         scored = None if self._truth is None else score(tracks, self._truth, setup.tolerance.seam_mm)
         content = {
             "name": self._recording.name,
-            "camera": {"width": camera.width, "height": camera.height},
+            "camera": {
+                "width": camera.width,
+                "height": camera.height,
+                "shows_light": shows_light,
+            },
             "flags": [
                 {
                     "mask": flag.mask,
@@ -130,6 +134,7 @@ class ReplayPage:
                 flag_counts=count_flags(tracks),
                 score=scored,
                 comparison=self._comparison if self._comparison.frames else None,
+                shows_light=shows_light,
                 width=camera.width,
                 height=camera.height,
                 has_truth=bool(self._truth_mm),

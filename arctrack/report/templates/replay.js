@@ -39,7 +39,9 @@ function showArc(view) {
   missing.hidden = Boolean(view && view.arc);
   if (view && view.arc) image.src = view.arc;
   image.alt = "the arc's light as predicted for this pose";
-  missing.textContent = view ? "no prediction: there is no pose from which the joint is seen" : "left out, as the frame's picture";
+  const unseen = R.camera.shows_light ? "no prediction: there is no pose from which the joint is seen" : "a profile shows no light";
+  missing.textContent = view ? unseen : "left out, as the frame's picture";
+  if (!R.camera.shows_light) return;
   const level = C.arc_level[now];
   byId("arc_caption").textContent = "The arc's light predicted for this pose, in the frame's grey scale" + (known(level) ? `, at the arc level found, ${number(level, 2)}.` : ", at the expected level: the frame does not tell the arc's.");
 }
