@@ -21,6 +21,7 @@ from tracker.joint.image_line import read_image_line
 from tracker.joint.type_check import shows_another
 from tracker.judge import SeamEstimate, judge
 from tracker.observation import MIN_HELD_SHARE, Aim, FrameInput, Observation, Reading, observe
+from tracker.profile import Section
 from tracker.profile_observation import ProfileObservation, observe_profile
 from tracker.seam.expected import ExpectedSeam, check_pose, expect_seam, ground_at_torch, pose_numbers
 from tracker.seam.gaussian_process import NO_HISTORY
@@ -186,7 +187,7 @@ def _fit_joint(
     # A narrower look shows only what lies where the stated joint should.
     if aim.reach_mm == SEARCH_REACH_MM:
         frame_checks.ask_whether(checks.JOINT_TYPE, not shows_another(section, stated, joint))
-    return check_joint(frame_checks, joint, float(section.y_mm[0]), float(section.y_mm[-1]))
+    return check_joint(frame_checks, joint, section)
 
 
 def _is_distinct(joint: MeasuredJoint | None) -> bool:
@@ -209,16 +210,13 @@ def _closed_joint(given: FrameInput, aim: Aim, seen: Observation) -> MeasuredJoi
 
 
 def check_joint(
-    frame_checks: FrameChecks, joint: MeasuredJoint | None, first_mm: float, last_mm: float
+    frame_checks: FrameChecks, joint: MeasuredJoint | None, section: Section
 ) -> tuple[MeasuredJoint | None, float]:
-    """Return a joint, None if it does not count, and its margin in the view, mm, NaN for none.
-
-    The section goes from `first_mm` to `last_mm`.
-    """
+    """Return a section's joint, None if it does not count, and its margin in the view, mm, NaN for none."""
     frame_checks.ask_whether(checks.JOINT_SEEN, joint is not None)
     if joint is None or not frame_checks.ask(checks.JOINT_EVIDENCE, joint.evidence_nats, MIN_EVIDENCE_NATS):
         return None, math.nan
-    margin_mm = min(joint.y_mm - first_mm, last_mm - joint.y_mm)
+    margin_mm = float(min(joint.y_mm - section.y_mm[0], section.y_mm[-1] - joint.y_mm))
     # A seam nearer to the profile's end than this is out of view.
     if not frame_checks.ask(checks.VIEW_MARGIN, margin_mm, 1.0):
         return None, margin_mm

@@ -35,6 +35,7 @@ MISSING = {
     "inspect": ["nowhere"],
     "explain": ["nowhere", "0"],
     "find": ["nowhere"],
+    "bead": ["nowhere"],
     "shift": ["nowhere", "sound/recording.toml"],
     "new": ["taken"],
     "import": ["nowhere", "--setup", "sound", "--poses", "sound/poses.csv", "--out", "new"],

@@ -18,6 +18,7 @@ import pytest
 from rendered import EXPOSURE_S, frame_of, pose_at, small_setup
 
 from arctrack.nominal import DIMENSIONS, nominal_setup
+from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
@@ -43,10 +44,10 @@ def used():
         for signature in (*d.stats.cache_hits, *d.stats.cache_misses)
     }
 
-def track(setup, frames):
-    tracker = Tracker(setup)
-    tracker.warm_up()
-    state, ready = tracker.state, used()
+def track(warm, setup, frames):
+    Tracker(warm).warm_up()
+    tracker, ready = Tracker(setup), used()
+    state = tracker.state
     valid = sum(tracker.step(frame, pose).valid for frame, pose in frames)
     # Where nothing is on disk yet, numba compiles functions of its own for constants.
     for_constants = [name for name in ready if "Literal" in name and not name.startswith("numba.")]
@@ -54,9 +55,9 @@ def track(setup, frames):
 
 try:
     while True:
-        setup, frames = pickle.load(sys.stdin.buffer)
+        given = pickle.load(sys.stdin.buffer)
         if os.fork() == 0:
-            pickle.dump(track(setup, frames), sys.stdout.buffer)
+            pickle.dump(track(*given), sys.stdout.buffer)
             sys.stdout.flush()
             os._exit(0)
         if os.wait()[1] != 0:
@@ -81,7 +82,7 @@ def imported() -> Iterator[subprocess.Popen[bytes]]:
     assert process.returncode == 0
 
 
-def recorded(joint: str, width: int) -> tuple[object, list[tuple[Frame, Pose | None]]]:
+def recorded(joint: str, width: int) -> tuple[Setup, list[tuple[Frame, Pose | None]]]:
     """Return a setup and frames of many kinds, by the forward model: none as the warm-up makes them up."""
     setup, frames = small_setup(joint, width=width), []
     rng = np.random.default_rng(7)
@@ -112,16 +113,29 @@ def recorded(joint: str, width: int) -> tuple[object, list[tuple[Frame, Pose | N
     return setup, frames
 
 
-# The warm-up makes up its images with 240 rows: of the larger ones with larger pixels.
+def turning(setup: Setup) -> Setup:
+    """A setup whose nominal seam turns to the left, by a radius of 500 mm."""
+    points = tuple((float(x), float(x * x / 1000.0), 0.0) for x in np.arange(0.0, 200.0, 5.0))
+    return replace(setup, joint=replace(setup.joint, seam_in_base_mm=points))
+
+
+# The warm-up makes up its images with 240 rows: of the larger ones with larger pixels. That of a straight
+# seam is one of those that turn, too: arctrack comes with no other kernels for them.
 @pytest.mark.parametrize(
-    ("joint", "width"), [*((joint, 320) for joint in DIMENSIONS), ("v_groove", 640), ("corrugation", 640)]
+    ("joint", "width", "turns"),
+    [
+        *((joint, 320, False) for joint in DIMENSIONS),
+        *((joint, 640, False) for joint in ("v_groove", "corrugation")),
+        *((joint, 320, True) for joint in ("lap", "fillet")),
+    ],
 )
 def test_no_frame_waits_after_the_warm_up(
-    joint: str, width: int, imported: subprocess.Popen[bytes], compiled: None
+    joint: str, width: int, turns: bool, imported: subprocess.Popen[bytes], compiled: None
 ) -> None:
     assert imported.stdin is not None
     assert imported.stdout is not None
-    pickle.dump(recorded(joint, width), imported.stdin)
+    setup, frames = recorded(joint, width)
+    pickle.dump((setup, turning(setup) if turns else setup, frames), imported.stdin)
     imported.stdin.flush()
     frames_before, valid, ready, waited, for_constants = pickle.load(imported.stdout)
     assert frames_before == 0

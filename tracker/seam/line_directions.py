@@ -41,7 +41,8 @@ class LineDirections(NamedTuple):
     @classmethod
     def of(cls, segments: SeamSegments) -> LineDirections:
         """Return a line's: constant along its pieces, but for where they meet."""
-        axes = segments.frames[:, :3, 1:3].transpose(0, 2, 1)
+        # In the layout of STRAIGHT: kernels are compiled for it.
+        axes = np.ascontiguousarray(segments.frames[:, :3, 1:3].transpose(0, 2, 1))
         lengths_mm = np.linalg.norm(segments.steps, axis=1)
         start_mm = float(transform(invert(segments.frames[0]), segments.starts[0])[0])
         meets_mm = start_mm + np.cumsum(lengths_mm)[:-1]

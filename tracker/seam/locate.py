@@ -253,7 +253,8 @@ def straightened(
     x_mm = -(n_y * points[Y_MM] + n_z * points[Z_MM] + off_mm) / n_x
     y_z_mm = source.line.straightened(station_mm, x_mm - station_mm, points[Y_MM], points[Z_MM])
     near = np.abs(y_z_mm[0]) <= reach_mm + source.aside_mm
-    kept = points[:, near]
+    # Of all frames the same layout: kernels are compiled for it.
+    kept = np.compress(near, points, axis=1)
     kept[Y_MM], kept[Z_MM] = y_z_mm[:, near]
     return kept
 
