@@ -188,9 +188,7 @@ def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> S
     reading, source, seam_source = seen.stripe, geometry.stripe_source, geometry.seam_source
     edge = EdgeAlongSeam(seam_source.height_mm, aim.seam.slope_sigma, reading.usual.contrast)
     seen_points = triangulate(source, aim.scene, reading.lines, edge)
-    section = section_of(geometry, aim, seen_points, light_of(reading, source.psf_sigma_px, seen_points.edge))
-    normal = aim.scene.T_joint_tool[:3, :3] @ source.sheet.plane[:3]
-    return section._replace(sheet=np.append(normal, source.sheet.sigma))
+    return section_of(geometry, aim, seen_points, light_of(reading, source.psf_sigma_px, seen_points.edge))
 
 
 def section_of(geometry: SensorGeometry, aim: Aim, seen_points: Points, light: StripeLight) -> Section:

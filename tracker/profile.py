@@ -25,7 +25,6 @@ from tracker.state import (
     CENTRE_PX,
     DY_MM,
     DZ_MM,
-    MIRROR_PX,
     MISFIT_PX,
     N_LINES,
     N_ROWS,
@@ -51,7 +50,7 @@ STEP_SIGMAS = 3.0
 MIN_CONTRAST = 0.02
 """Change of a stripe's brightness from line to line without speckle."""
 
-_NOWHERE, _NO_SHEET = np.full(3, math.nan), np.full(4, math.nan)
+_NOWHERE = np.full(3, math.nan)
 
 
 class Section(NamedTuple):
@@ -61,8 +60,7 @@ class Section(NamedTuple):
     in y. The seam is looked for within `reach_mm` of y = 0; nearer to a corner than `mixed_mm` a scan line
     holds light of both faces. `slope_sigma` is that of the seam's direction. `light` is what the stripe was
     read from, `NO_LIGHT` where it is not at hand; `camera_mm` and `laser_mm` (3,) are from where it was seen
-    and lit, `sheet` (4,) the normal of the laser's plane and its 1 sigma, mm, joint frame, NaN where that is
-    not known.
+    and lit, joint frame, NaN where that is not known.
     """
 
     points: Float64
@@ -73,7 +71,6 @@ class Section(NamedTuple):
     light: StripeLight = NO_LIGHT
     camera_mm: Float64 = _NOWHERE
     laser_mm: Float64 = _NOWHERE
-    sheet: Float64 = _NO_SHEET
 
     @property
     def y_mm(self) -> Float64:
@@ -301,7 +298,6 @@ def _triangulate(
         points[SIGMA_PX, n] = math.hypot(lines[SIGMA_PX, s], skewed_px[s])
         points[BESIDE_PX, n] = math.hypot(beside_px, skewed_px[s])
         points[MISFIT_PX, n], points[N_LINES, n] = lines[MISFIT_PX, s], n_lines[s]
-        points[MIRROR_PX:, n] = 0.0
         n += 1
     # In order of y if the image shows it from the other side.
     flips, kept = n > 1 and points[Y_MM, 0] > points[Y_MM, n - 1], np.empty((N_ROWS, n))

@@ -157,14 +157,13 @@ AT_ONCE = OffsetLookAhead()
 
 
 CENTRE_PX, AMPLITUDE_E, WIDTH_PX, OWN_PX = range(4)
-Y_MM, Z_MM, DY_MM, DZ_MM, SCAN, SIGMA_PX, BESIDE_PX, BIAS_PX, MISFIT_PX, N_LINES, MIRROR_PX = range(11)
-N_ROWS = 12
+Y_MM, Z_MM, DY_MM, DZ_MM, SCAN, SIGMA_PX, BESIDE_PX, BIAS_PX, MISFIT_PX, N_LINES = range(10)
+N_ROWS = 10
 """The rows of an array of a stripe's scan lines, and of the points that these become.
 
 Of a line, px and e-: centre, amplitude, 1 sigma across the stripe, the centre's 1 sigma by photons alone. Of
 a point, mm: y and z in the joint frame, a corrugation's height taken off z, and how it moves when its centre
-moves by 1 px, and by how much stripes as bright as its own that the right and the left side mirror move that.
-Of both: the scan line; the centre's 1 sigma; that with which it counts among neighbours; by
+moves by 1 px. Of both: the scan line; the centre's 1 sigma; that with which it counts among neighbours; by
 how much it was corrected for light that is no bell; the 1 sigma that unexpected light adds to neighbours in
 common; for how many scan lines it stands. Two lines that were read as one are a point between them.
 """

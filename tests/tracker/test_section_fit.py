@@ -45,9 +45,7 @@ def test_the_fit_is_its_twin(seed: int, shape: int, wrong: float) -> None:
     profile = spoil(measure(corners, (0.0, 0.0), rng), wrong, rng)
     used = np.abs(profile.y_mm) > 0.4 if shape == SHEETS else np.ones(len(profile.y_mm), dtype=bool)
     sigma = np.hypot(profile.sigma_px, 0.05)
-    fitted, covariance, chi2, weights, _ = fit_section(
-        shape, profile.points, sigma, used, 30.0, prior, start=start, begin=start
-    )
+    fitted, covariance, chi2, weights = fit_section(shape, profile.points, sigma, used, 30.0, prior, start)
     move = profile.dy_mm, profile.dz_mm
     twin = twins.bisquare_fit(height, profile.y_mm, profile.z_mm, move, sigma, used, start, prior, 30.0)
     # A point at a corner lies on one face or the other by a hair, and its derivative with it.
@@ -75,7 +73,7 @@ def test_a_fit_that_runs_away_is_nan() -> None:
     n = np.ones(50)
     start = np.array([0.0, 0.0, 1.0, np.nan, 0.6, 4.0, 4.0, 0.0, 0.0])
     points = points_of(y, y, scan=y, sigma_px=n, beside_px=n, dy_mm=0.01, dz_mm=0.07)
-    chi2 = fit_section(GROOVE, points, n, n > 0.0, 3.0, GROOVE_PRIOR, start=start, begin=start).chi2
+    chi2 = fit_section(GROOVE, points, n, n > 0.0, 3.0, GROOVE_PRIOR, start).chi2
     assert np.isnan(chi2)
 
 

@@ -24,7 +24,6 @@ from tracker.joint.measured import (
     shift_of,
     two_angles,
 )
-from tracker.joint.mirror import fit_mirroring, without_mirrored
 from tracker.joint.section_fit import BISQUARE_WIDTH, SIGMA_FLOOR_PX, ShapeFit
 from tracker.joint.section_shapes import CORNER, FAR_MM
 from tracker.profile import Section
@@ -53,30 +52,26 @@ class Foot(NamedTuple):
 
 def fit_fillet(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     """Return the corner that a section shows, None where it does not show both plates."""
-    y_mm = section.points[Y_MM]
+    points, y_mm = section.points, section.points[Y_MM]
     y_0, z_0 = shift_of(
-        y_mm, section.points[Z_MM], section.reach_mm, stated.corners_mm, 0.0, SEARCH_STEP_MM, SEARCH_LIMIT_MM
+        y_mm, points[Z_MM], section.reach_mm, stated.corners_mm, 0.0, SEARCH_STEP_MM, SEARCH_LIMIT_MM
     )
     slope = 1.0 / stated.tan
     # 1 sigma of a plate's rotation from where it is stated.
     plate_sigma = math.radians(2.0) * (1.0 + slope**2)
     start, prior_sigma = np.array([y_0, z_0, slope, -slope]), np.array([5.0, 5.0, plate_sigma, plate_sigma])
     chosen = np.ones(len(y_mm), np.bool_)
-    section, fit = fit_mirroring(CORNER, section, chosen, prior_sigma, start)
+    fit = fit_points(CORNER, points, chosen, START_SIGMA_MM, prior_sigma, start)
     if not math.isfinite(fit.chi2):
         return None
-    plain = without_mirrored(section, fit.shares)
-    foot = find_foot(plain.points, fit) if slope > 0.0 else None
+    foot = find_foot(points, fit) if slope > 0.0 else None
     # A gap that is stated needs no more evidence than none.
     if foot is not None and foot.nats > (0.0 if stated.gap_mm > 0.0 else MIN_EVIDENCE_NATS):
         chosen = outside_gap(y_mm, fit.parameters[0], foot)
-        fit = fit_points(
-            CORNER, section.points, chosen, START_SIGMA_MM, prior_sigma, fit.parameters, fit.parameters
-        )
+        fit = fit_points(CORNER, points, chosen, START_SIGMA_MM, prior_sigma, fit.parameters)
         if not math.isfinite(fit.chi2):
             return None
-        plain = without_mirrored(section, fit.shares)
-        foot = find_foot(plain.points, fit)
+        foot = find_foot(points, fit)
     elif math.isnan(stated.gap_mm):
         foot = None
     p, covariance, weights = fit.parameters, fit.covariance, fit.weights
@@ -97,7 +92,7 @@ def fit_fillet(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         shape=JointShape(gap_sigma_mm=gap_sigma_mm, plate_angles_deg=plates, plate_sigmas_deg=plate_sigmas),
         corners_mm=corners_with_foot(p, foot),
     )
-    return as_reported(plain, measured)
+    return as_reported(section, measured)
 
 
 def find_foot(points: Float64, fit: ShapeFit) -> Foot:

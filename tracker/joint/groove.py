@@ -33,7 +33,6 @@ from tracker.joint.measured import (
     shift_of,
     two_angles,
 )
-from tracker.joint.mirror import fit_mirroring, without_mirrored
 from tracker.joint.misfit import SeamEdge
 from tracker.joint.section_fit import BISQUARE_WIDTH, ShapeFit
 from tracker.joint.section_shapes import GROOVE, ROUND_GROOVE
@@ -80,19 +79,18 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
 
     It is a U where its roundings' radius is stated.
     """
-    y_mm, half_mouth_mm = section.points[Y_MM], float(stated.corners_mm[-2, 0])
+    points, y_mm, half_mouth_mm = section.points, section.points[Y_MM], float(stated.corners_mm[-2, 0])
     shape, prior_sigma = GROOVE, PRIOR_SIGMA
     if not math.isnan(stated.radius_mm):
         shape, prior_sigma = ROUND_GROOVE, ROUND_PRIOR_SIGMA
     start = start_of(section, stated, len(prior_sigma))
     chosen = np.ones(len(y_mm), np.bool_)
-    section, fit = fit_mirroring(shape, section, chosen, prior_sigma, start)
-    points = section.points
+    fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
     if not math.isfinite(fit.chi2):
         return None
     shown = groove_coverage(fit, y_mm, half_mouth_mm)
     if shown.left_out > MUCH_LEFT_OUT:
-        wider = fit_points(shape, points, chosen, WIDER_MM, prior_sigma, start, start)
+        wider = fit_points(shape, points, chosen, WIDER_MM, prior_sigma, start)
         if math.isfinite(wider.chi2):
             shown_wider = groove_coverage(wider, y_mm, half_mouth_mm)
             if shown_wider.left_out < shown.left_out:
@@ -113,7 +111,7 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         chosen = outside_hidden_bevel(
             side * (y_mm - fit.parameters[0]), fit.parameters, sure_mm, half_mouth_mm
         )
-        fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start, start)
+        fit = fit_points(shape, points, chosen, START_SIGMA_MM, prior_sigma, start)
         if not math.isfinite(fit.chi2):
             return None
     elif min(shown.right, shown.left) < MIN_POINTS:
@@ -122,8 +120,7 @@ def fit_groove(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     measured = measured_groove(shape, fit)
     # The root is where the bevels say, or hidden.
     # What fills a root stands higher than its bevels say, and hardly to one side.
-    edge = SeamEdge(measured.y_mm, 0.03, 0.4, is_upright=False)
-    return as_reported(without_mirrored(section, fit.shares), measured, (edge,))
+    return as_reported(section, measured, (SeamEdge(measured.y_mm, 0.03, 0.4, is_upright=False),))
 
 
 class GrooveCoverage(NamedTuple):
@@ -254,7 +251,7 @@ def weigh_root(
     likeliest = held[np.argmax(nats)]
     # What is left out next to the root was left out for the light that it mixes.
     weights = np.where(clear, weights[likeliest], fit.weights)
-    return ShapeFit(mean, covariance, float(chi2[likeliest]), weights, fit.shares)
+    return ShapeFit(mean, covariance, float(chi2[likeliest]), weights)
 
 
 @kernel(allocates=True)
@@ -268,7 +265,7 @@ def fit_gaps(
     for j in range(k):
         from_gap, sigma = start.copy(), prior_sigma.copy()
         from_gap[gap], sigma[gap] = GAPS[j], CELLS_MM[j]
-        held = fit_points(shape, points, clear, START_SIGMA_MM, sigma, from_gap, from_gap)
+        held = fit_points(shape, points, clear, START_SIGMA_MM, sigma, from_gap)
         chi2[j] = held.chi2
         for a in range(m):
             parameters[j, a] = held.parameters[a]

@@ -22,7 +22,6 @@ from tracker.joint.measured import (
     shift_of,
     two_angles,
 )
-from tracker.joint.mirror import fit_mirroring, without_mirrored
 from tracker.joint.misfit import SeamEdge
 from tracker.joint.section_fit import ShapeFit
 from tracker.joint.section_shapes import HALF_GROOVE
@@ -76,7 +75,7 @@ def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     points, y_mm, gap_mm = section.points, section.points[Y_MM], stated.gap_mm
     start = start_of(section, stated)
     clear = np.abs(y_mm - start[WALL]) > CLEAR_OF_EDGE_MM
-    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start, start)
+    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start)
     if not math.isfinite(fit.chi2):
         return None
     wall_mm, wall_variance_mm2 = upright_side(
@@ -85,8 +84,7 @@ def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     if math.isnan(wall_mm):
         return None
     start[WALL] = wall_mm
-    section, fit = fit_mirroring(HALF_GROOVE, section, clear, PRIOR_SIGMA, start)
-    points = section.points
+    fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start)
     if not math.isfinite(fit.chi2):
         return None
     p = fit.parameters
@@ -99,13 +97,13 @@ def fit_half_v(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
         # known, and what lies there counts for nothing.
         sure_mm = wall_mm + max(gap_mm - SURE_SIGMAS * PRIOR_SIGMA[GAP], 0.0)
         clear &= (y_mm < sure_mm) | (y_mm > mouth_mm + SURE_MM)
-        fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start, start)
+        fit = fit_points(HALF_GROOVE, points, clear, START_SIGMA_MM, PRIOR_SIGMA, start)
         if not math.isfinite(fit.chi2):
             return None
     if weight_between(y_mm, fit.weights, wall_mm, mouth_mm) < MIN_POINTS:
         return None
     measured, wall = measured_half_v(fit, wall_mm, wall_variance_mm2)
-    return as_reported(without_mirrored(section, fit.shares), measured, (wall,))
+    return as_reported(section, measured, (wall,))
 
 
 def start_of(section: Section, stated: StatedJoint) -> Float64:

@@ -71,7 +71,7 @@ def fit_lap(section: Section, stated: StatedJoint) -> MeasuredJoint | None:
     if min(np.count_nonzero(before), np.count_nonzero(behind)) < MIN_POINTS:
         return None
     start = np.array([z_level + roll * y_0, thickness_mm, roll, roll, y_0])
-    fit = fit_points(SHEETS, points, before | behind, START_SIGMA_MM, PRIOR_SIGMA, start, start)
+    fit = fit_points(SHEETS, points, before | behind, START_SIGMA_MM, PRIOR_SIGMA, start)
     if not math.isfinite(fit.chi2):
         return None
     measured = measured_lap(section, fit, y_0, thickness_mm)

@@ -19,21 +19,7 @@ from tracker.joint.section_fit import (
     fit_section,
 )
 from tracker.joint.section_shapes import N_CORNERS, corners_of, opening
-from tracker.state import (
-    BESIDE_PX,
-    DY_MM,
-    DZ_MM,
-    MIRROR_PX,
-    MISFIT_PX,
-    N_LINES,
-    NO_SHAPE,
-    SIGMA_PX,
-    Y_MM,
-    Z_MM,
-    JointShape,
-    Pair,
-)
-from tracker.stripe.line_fit.block import CORRELATION_PX
+from tracker.state import DY_MM, DZ_MM, N_LINES, NO_SHAPE, SIGMA_PX, Y_MM, Z_MM, JointShape, Pair
 
 START_SIGMA_MM = 0.3
 """Largest initial distance of a point from the nominal shape; halved with every step of the fit."""
@@ -76,49 +62,29 @@ class MeasuredJoint(NamedTuple):
 
 @kernel(allocates=True)
 def fit_points(
-    shape: int,
-    points: Float64,
-    used: Bool,
-    start_sigma_mm: float,
-    prior_sigma: Float64,
-    start: Float64,
-    begin: Float64,
+    shape: int, points: Float64, used: Bool, start_sigma_mm: float, prior_sigma: Float64, start: Float64
 ) -> ShapeFit:
     """Fit a shape of `section_fit` to a section's points, in px of stripe centre, with priors about `start`.
 
-    Those that are `used` (n,) count. A point may lie `start_sigma_mm` off where the fit begins. The fit's
-    chi2 is NaN where fewer points are used than the parameters need, and where it runs away. What `begin` has
-    beyond `prior_sigma` (p,) stays as it is.
+    Those that are `used` (n,) count. A point may lie `start_sigma_mm` off the start. The fit's chi2 is NaN
+    where fewer points are used than the parameters need, and where it runs away. What `start` has beyond
+    `prior_sigma` (p,) stays as it is.
     """
-    n, m, count, is_mirrored = points.shape[1], prior_sigma.shape[0], 0, points[MIRROR_PX:].any()
+    n, m, count = points.shape[1], prior_sigma.shape[0], 0
     sigma, moves = np.empty(n), np.empty(n)
     for i in range(n):
-        variance = points[SIGMA_PX, i] ** 2
-        if is_mirrored:
-            # Modes and parameters are alike: errors that points share must count in the weights.
-            variance = max(variance, points[BESIDE_PX, i] ** 2)
-            variance += 2.0 * CORRELATION_PX * points[MISFIT_PX, i] ** 2 / points[N_LINES, i]
-        sigma[i] = math.sqrt(variance + SIGMA_FLOOR_PX**2 / points[N_LINES, i])
+        sigma[i] = math.sqrt(points[SIGMA_PX, i] ** 2 + SIGMA_FLOOR_PX**2 / points[N_LINES, i])
         if used[i]:
             moves[count] = abs(points[DZ_MM, i]) * sigma[i]
             count += 1
     if count < m + 3:
-        return ShapeFit(start[:m].copy(), np.empty((m, m)), math.nan, sigma, np.empty((2, 0)))
+        return ShapeFit(start[:m].copy(), np.empty((m, m)), math.nan, sigma)
     # No point's height is known better.
     wide = start_sigma_mm / max(exact_median(moves[:count]), 1e-6)
-    fit = fit_section(
-        shape=shape,
-        points=points,
-        sigma=sigma,
-        used=used,
-        start_scale=wide,
-        prior_sigma=prior_sigma,
-        start=start,
-        begin=begin,
-    )
-    if math.isfinite(fit.chi2) and not is_mirrored:
+    fit = fit_section(shape, points, sigma, used, wide, prior_sigma, start)
+    if math.isfinite(fit.chi2):
         add_shared_errors(shape, points, sigma, fit)
-    return ShapeFit(fit.parameters[:m], fit.covariance, fit.chi2, fit.weights, fit.shares)
+    return ShapeFit(fit.parameters[:m], fit.covariance, fit.chi2, fit.weights)
 
 
 @kernel(allocates=True)

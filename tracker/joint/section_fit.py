@@ -30,7 +30,7 @@ from noise_model.compiled.median import exact_median, median_of, numbers_for
 from noise_model.robust import MAD_SIGMA
 from noise_model.surface.faces import face_under, slope_across
 from tracker.joint.section_shapes import N_CORNERS, corners_of
-from tracker.state import BESIDE_PX, DY_MM, DZ_MM, MIRROR_PX, MISFIT_PX, N_LINES, SCAN, Y_MM, Z_MM
+from tracker.state import BESIDE_PX, DY_MM, DZ_MM, MISFIT_PX, N_LINES, SCAN, Y_MM, Z_MM
 from tracker.stripe.line_fit.block import CORRELATION_PX
 
 SIGMA_FLOOR_PX = 0.01
@@ -44,9 +44,6 @@ BISQUARE_WIDTH = 4.685
 
 MAX_STEPS, CONVERGED = 20, 1e-5
 """Gauss-Newton steps at most; one smaller than this in every parameter's unit is the last."""
-
-SHARE_SIGMA = 0.25
-"""1 sigma of a mirrored stripe's brightness over the stripe's own."""
 
 MIN_ALONG_MM = 1e-6
 """No point moves less than this off a face with 1 px of its stripe centre."""
@@ -69,58 +66,9 @@ def corners_and_slopes(shape: int, p: Float64, corners: Float64, moved: Float64,
             slopes[k, i, 1] = (moved[k, 1] - corners[k, 1]) / STEP
 
 
-class Modes(NamedTuple):
-    """Mirrored stripes' shares (k,), and the pulls (k, n), sigmas, on centres by a share of 1 of each."""
-
-    shares: Float64
-    pulls: Float64
-
-
-@kernel(allocates=True)
-def _modes_of(points: Float64, sigma: Float64) -> Modes:
-    """Return the modes of points (n,), none where nothing is mirrored, at shares of 0."""
-    pulls = points[MIRROR_PX:] / sigma
-    k = pulls.shape[0] if pulls.any() else 0
-    return Modes(np.zeros(k), pulls[:k])
-
-
-@kernel(fastmath=REDUCTION)
-def _add_modes(
-    y: Float64,
-    corners: Float64,
-    J: Float64,
-    first: Int64,
-    residuals: tuple[Float64, Float64, Float64],
-    pulls: Float64,
-    information: Float64,
-    gradient: Float64,
-) -> None:
-    """Add what the points say of modes (k, n) to the last k rows of the normal equations.
-
-    The residuals are these, their units and their weights (n,).
-    """
-    (r, unit, weights), m = residuals, J.shape[1]
-    for k in range(pulls.shape[0]):
-        for i in range(y.shape[0]):
-            weight = weights[i] * pulls[k, i]
-            gradient[m + k] += weight * r[i]
-            for j in range(k + 1):
-                information[m + k, m + j] += weight * pulls[j, i]
-        for face in range(corners.shape[0] - 1):
-            y_a, width = corners[face, 0], corners[face + 1, 0] - corners[face, 0]
-            at_a, at_b, slope = 0.0, 0.0, slope_across(face, corners)
-            for i in range(first[face], first[face + 1]):
-                weight, s = weights[i] * pulls[k, i] / unit[i], (y[i] - y_a) / width
-                at_a += weight * (1.0 - s)
-                at_b += weight * s
-            for j in range(m if first[face] < first[face + 1] else 0):
-                information[m + k, j] += at_a * (J[face, j, 1] - slope * J[face, j, 0])
-                information[m + k, j] += at_b * (J[face + 1, j, 1] - slope * J[face + 1, j, 0])
-
-
 @kernel(fastmath=REDUCTION)
 def _residuals(
-    points: Float64, sigma: Float64, corners: Float64, modes: Modes, first: Int64, r: Float64, unit: Float64
+    points: Float64, sigma: Float64, corners: Float64, first: Int64, r: Float64, unit: Float64
 ) -> None:
     """Write the residual of each centre of points (n,) from its face, in its sigmas, and that unit in mm.
 
@@ -139,9 +87,6 @@ def _residuals(
             along = MIN_ALONG_MM if abs(along) < MIN_ALONG_MM else along
             unit[i] = along * sigma[i]
             r[i] = (points[Z_MM, i] - corners[k, 1] - slope * (points[Y_MM, i] - corners[k, 0])) / unit[i]
-    for k in range(len(modes.shares)):
-        for i in range(n):
-            r[i] -= modes.shares[k] * modes.pulls[k, i]
 
 
 @kernel(allocates=True)
@@ -208,7 +153,7 @@ def _add_faces(
 
     No array is made here, so that none is counted face by face. The `room` takes two rows (m,).
     """
-    (at_a, at_b), n_corners, m = room, corners.shape[0], J.shape[1]
+    (at_a, at_b), n_corners, m = room, corners.shape[0], gradient.shape[0]
     for k in range(n_corners - 1):
         if first[k] == first[k + 1]:
             continue
@@ -229,16 +174,12 @@ def _add_faces(
 
 
 class ShapeFit(NamedTuple):
-    """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,).
-
-    `shares` (2, k) are those of mirrored stripes, if there are any, and their variances.
-    """
+    """Parameters (p,), their covariance (p, p), chi2 per degree of freedom and the points' weights (n,)."""
 
     parameters: Float64
     covariance: Float64
     chi2: float
     weights: Float64
-    shares: Float64
 
 
 @kernel(allocates=True)
@@ -250,35 +191,33 @@ def fit_section(
     start_scale: float,
     prior_sigma: Float64,
     start: Float64,
-    begin: Float64,
 ) -> ShapeFit:
     """Fit a section to points (n,), y rising; its chi2 is NaN if it cannot be.
 
     A point moves by `DY_MM`, `DZ_MM` with 1 px of its stripe centre, whose 1 sigma is `sigma` (n,) px:
     its residual is how far the centre would have to move to lie on the face, (z - f) / (dz - m dy). Only
-    `used` points count. The first len(prior_sigma) parameters have priors about `start` and are fitted, from
-    `begin` on; all are returned. The scale of Tukey's weights begins at `start_scale` sigmas and halves: a
-    narrow one would cut off the few points that tell, such as a root's, for good.
+    `used` points count. The first len(prior_sigma) parameters have priors about `start` and are fitted; all
+    are returned. The scale of Tukey's weights begins at `start_scale` sigmas and halves: a narrow one would
+    cut off the few points that tell, such as a root's, for good.
     """
     n, m = points.shape[1], prior_sigma.shape[0]
     n_corners = N_CORNERS[shape]
     corners, moved = np.empty((n_corners, 2)), np.empty((n_corners, 2))
-    p, J, first = begin.copy(), np.empty((n_corners, m, 2)), np.empty(n_corners, dtype=np.int64)
-    r, unit, weights, modes = np.empty(n), np.empty(n), np.empty(n), _modes_of(points, sigma)
-    n_all = m + modes.shares.shape[0]
-    covariance, information, gradient = np.empty((n_all, n_all)), np.empty((n_all, n_all)), np.empty(n_all)
+    p, J, first = start.copy(), np.empty((n_corners, m, 2)), np.empty(n_corners, dtype=np.int64)
+    r, unit, weights, covariance = np.empty(n), np.empty(n), np.empty(n), np.empty((m, m))
+    information, gradient = np.empty((m, m)), np.empty(m)
     at_a, at_b = np.empty(m), np.empty(m)
-    wide, no_shares = start_scale, np.empty((2, 0))
+    wide = start_scale
     for _ in range(MAX_STEPS):
         corners_and_slopes(shape, p, corners, moved, J)
-        _residuals(points, sigma, corners, modes, first, r, unit)
+        _residuals(points, sigma, corners, first, r, unit)
         scale = _scale(r, used, max(1.0, wide))
-        for i in range(n_all):
-            known = (scale / (prior_sigma[i] if i < m else SHARE_SIGMA)) ** 2
+        for i in range(m):
+            known = (scale / prior_sigma[i]) ** 2
             for j in range(i):
                 information[i, j] = 0.0
             information[i, i] = known
-            gradient[i] = known * (start[i] - p[i] if i < m else -modes.shares[i - m])
+            gradient[i] = known * (start[i] - p[i])
         _add_faces(
             y=points[Y_MM],
             used=used,
@@ -293,49 +232,32 @@ def fit_section(
             information=information,
             gradient=gradient,
         )
-        if n_all > m:
-            _add_modes(
-                y=points[Y_MM],
-                corners=corners,
-                J=J,
-                first=first,
-                residuals=(r, unit, weights),
-                pulls=modes.pulls,
-                information=information,
-                gradient=gradient,
-            )
         # The priors make it positive, but for a NaN.
         if not factorise(information):
-            return ShapeFit(p, covariance, math.nan, weights, no_shares)
+            return ShapeFit(p, covariance, math.nan, weights)
         solve(information, gradient)
         largest, total = 0.0, 0.0
-        for i in range(n_all):
-            if i < m:
-                p[i] += gradient[i]
-            else:
-                modes.shares[i - m] += gradient[i]
+        for i in range(m):
+            p[i] += gradient[i]
             largest = max(largest, abs(gradient[i]))
             total += gradient[i]
         if not math.isfinite(total):
-            return ShapeFit(p, covariance, math.nan, weights, no_shares)
+            return ShapeFit(p, covariance, math.nan, weights)
         if wide < 1.0 and largest < CONVERGED:
             break
         wide /= 2.0
     corners_of(shape, p, corners)
-    _residuals(points, sigma, corners, modes, first, r, unit)
+    _residuals(points, sigma, corners, first, r, unit)
     total, freedom = 0.0, -float(m)
     for i in range(n):
         total += weights[i] * r[i] * r[i]
         freedom += weights[i]
     chi2 = total / max(freedom, 1.0)
     write_inverse(information, covariance)
-    for i in range(n_all):
-        for j in range(n_all):
+    for i in range(m):
+        for j in range(m):
             covariance[i, j] *= max(1.0, chi2)
-    shares = np.empty((2, n_all - m))
-    for i in range(n_all - m):
-        shares[0, i], shares[1, i] = modes.shares[i], covariance[m + i, m + i]
-    return ShapeFit(p, covariance[:m, :m].copy(), chi2, weights, shares)
+    return ShapeFit(p, covariance, chi2, weights)
 
 
 @kernel(allocates=True)

@@ -266,7 +266,7 @@ def fit_plates(points: Float64, y_0: float, used: Bool) -> ShapeFit:
     start = np.zeros(5)
     start[0], start[4] = exact_median(points[Z_MM]), y_0
     # A copy of its own has one type: for a constant the kernels would be compiled anew.
-    fit: ShapeFit = fit_points(SHEETS, points, used, START_SIGMA_MM, PRIOR_SIGMA.copy(), start, start)
+    fit: ShapeFit = fit_points(SHEETS, points, used, START_SIGMA_MM, PRIOR_SIGMA.copy(), start)
     return fit
 
 
