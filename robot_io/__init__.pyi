@@ -1,3 +1,4 @@
+from .find_answer import FindAnswer as FindAnswer, FindAssembler as FindAssembler
 from .gate import (
     Conditions as Conditions,
     Decision as Decision,
@@ -53,6 +54,10 @@ from .protocol.messages import (
     CommandHeard as CommandHeard,
     DbcVersion as DbcVersion,
     Fault as Fault,
+    FindRefusal as FindRefusal,
+    FindResult as FindResult,
+    FoundPosition as FoundPosition,
+    FoundRotation as FoundRotation,
     GateReason as GateReason,
     JointType as JointType,
     LaserState as LaserState,

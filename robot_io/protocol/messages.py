@@ -7,6 +7,7 @@ a count that is not known is None, a state that is not known is its enumeration'
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Self
 
 
 class Source(IntEnum):
@@ -93,6 +94,7 @@ class Command(IntEnum):
     TRACK = 4
     HOLD = 5
     STORE_ZERO = 6
+    FIND = 7
 
 
 class JointType(IntEnum):
@@ -193,6 +195,43 @@ class RequestResult(IntEnum):
     UNKNOWN = 7
 
 
+class FindRefusal(IntEnum):
+    """Reason for which a FIND found no joint.
+
+    FRAME_UNREADABLE to STRIPE_AMBIGUOUS are flags of `tracker.flags`, GAP to ANGLE the part's limits.
+    """
+
+    NONE = 0
+    FRAME_UNREADABLE = 1
+    LASER_OFF = 2
+    POSE_REFUSED = 3
+    STRIPE_LOST = 4
+    JOINT_NOT_FOUND = 5
+    SEAM_OUT_OF_VIEW = 6
+    SEAM_JUMP = 7
+    BELOW_SURFACE = 8
+    SEAM_REVERSED = 9
+    STRIPE_AMBIGUOUS = 10
+    GAP = 11
+    MISMATCH = 12
+    DEPTH = 13
+    ANGLE = 14
+    POSES_DOUBTED = 15
+    MOVED_TOO_FAR = 16
+    SIGMA_TOO_LARGE = 17
+    OUT_OF_RANGE = 18
+    CAMERA_STOPPED = 19
+    ARC_ON = 20
+    ROBOT_STATUS_STALE = 21
+    BUS_DELAYED = 22
+    JOB_UNKNOWN = 23
+    FAULT = 24
+    WITHDRAWN = 25
+    SHUTTING_DOWN = 26
+    NOT_AVAILABLE = 27
+    UNKNOWN = 31
+
+
 class CommandHeard(IntEnum):
     """Command that a tracker obeys; NOT_STATED is a tracker of a layout before 1.6."""
 
@@ -220,23 +259,17 @@ class RobotPosePosition(BusMessage):
 
 
 @dataclass(frozen=True)
-class RobotPoseRotation(BusMessage):
-    """Rotation of T_base_tool as the three smaller components of its unit quaternion; one half of a pose.
-
-    `sample_age_ms` is the time from the controller's sample to the sending of this frame.
-    """
+class BusRotation(BusMessage):
+    """A rotation as the three smaller components of its unit quaternion."""
 
     largest: QuaternionComponent
     small_a: float
     small_b: float
     small_c: float
-    sample_age_ms: float
 
     @classmethod
-    def from_quaternion(
-        cls, quaternion_xyzw: tuple[float, float, float, float], sample_age_ms: float = math.nan
-    ) -> "RobotPoseRotation":
-        """Return the message of a unit quaternion x y z w.
+    def from_quaternion(cls, quaternion_xyzw: tuple[float, float, float, float], *others: float) -> Self:
+        """Return the message of a unit quaternion x y z w, and of its other fields in their order.
 
         Raises ValueError if the quaternion is not finite or its norm is off 1 by more than 0.001.
         """
@@ -246,7 +279,7 @@ class RobotPoseRotation(BusMessage):
         largest = max(QuaternionComponent, key=lambda component: abs(quaternion_xyzw[component]))
         factor = math.copysign(1.0 / norm, quaternion_xyzw[largest])
         small = [factor * quaternion_xyzw[c] for c in QuaternionComponent if c is not largest]
-        return cls(largest, small[0], small[1], small[2], sample_age_ms)
+        return cls(largest, *small, *others)
 
     @property
     def quaternion_xyzw(self) -> tuple[float, float, float, float]:
@@ -259,6 +292,16 @@ class RobotPoseRotation(BusMessage):
         whole = list(small)
         whole.insert(self.largest, math.sqrt(rest))
         return (whole[0], whole[1], whole[2], whole[3])
+
+
+@dataclass(frozen=True)
+class RobotPoseRotation(BusRotation):
+    """Rotation of T_base_tool; one half of a pose.
+
+    `sample_age_ms` is the time from the controller's sample to the sending of this frame.
+    """
+
+    sample_age_ms: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -309,6 +352,23 @@ class RobotPulse(BusMessage):
     period_us: int | None
     base_us: int | None
     begin_age_ms: float
+
+
+@dataclass(frozen=True)
+class FindResult(BusMessage):
+    """Answer to a FIND, whose `request_number` it bears: refusal, gap, mismatch, 1 σ of the position; mm.
+
+    `joint_misfit` says that what was found does not look as the joint is stated. FoundPosition and
+    FoundRotation follow; see `FindAssembler`.
+    """
+
+    request_number: int
+    refusal: FindRefusal
+    gap_mm: float
+    mismatch_mm: float
+    sigma_y_mm: float
+    sigma_z_mm: float
+    joint_misfit: bool
 
 
 @dataclass(frozen=True)
@@ -391,6 +451,27 @@ class TrackerHeartbeat(BusMessage):
 
 
 @dataclass(frozen=True)
+class FoundPosition(BusMessage):
+    """Position of a found joint in base, mm; a part of the answer to a FIND."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+
+
+@dataclass(frozen=True)
+class FoundRotation(BusRotation):
+    """Rotation in base of a found joint: x along the seam, y to its left, z out of the work.
+
+    1 σ of its direction, NaN where x is the nominal seam's, and of its normal about the seam, NaN where z is
+    the nominal one; degrees. A part of the answer to a FIND.
+    """
+
+    direction_sigma_deg: float
+    normal_sigma_deg: float
+
+
+@dataclass(frozen=True)
 class DbcVersion(BusMessage):
     """Version of the bus layout that the tracker uses."""
 
@@ -409,11 +490,14 @@ MESSAGE_TYPES: tuple[type[BusMessage], ...] = (
     RobotSync,
     TrackerSyncEcho,
     RobotPulse,
+    FindResult,
     RobotStatus,
     TrackerCommand,
     SeamGeometry,
     TrackerStatus,
     TrackerHeartbeat,
+    FoundPosition,
+    FoundRotation,
     DbcVersion,
 )
 """Every message type, in order of its id on the bus."""

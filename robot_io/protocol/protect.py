@@ -14,6 +14,9 @@ from robot_io.protocol.codec import encode
 from robot_io.protocol.dbc import e2e_data_id, message_layout
 from robot_io.protocol.messages import (
     BusMessage,
+    FindResult,
+    FoundPosition,
+    FoundRotation,
     RobotPosePosition,
     RobotPoseRotation,
     SeamOffset,
@@ -27,6 +30,8 @@ SOURCES = (Source.LIVE, Source.REPLAY, Source.SIMULATION)
 _COUNTED_BY: dict[type[BusMessage], type[BusMessage]] = {
     RobotPoseRotation: RobotPosePosition,
     SeamPoint: SeamOffset,
+    FoundPosition: FindResult,
+    FoundRotation: FindResult,
 }
 """Messages that carry the counter of another, the one sent before them: by it the two find each other."""
 
@@ -57,7 +62,8 @@ class Protector:
 
     A RobotPoseRotation carries the counter of the last RobotPosePosition: by it the two halves of a pose find
     each other, and a half that failed to go out cannot put the later pairs out of step. A SeamPoint carries
-    that of the last SeamOffset. Raises ValueError for an unknown source.
+    that of the last SeamOffset, FoundPosition and FoundRotation that of the last FindResult. Raises
+    ValueError for an unknown source.
     """
 
     def __init__(self, source: Source = Source.LIVE) -> None:

@@ -15,6 +15,10 @@ from robot_io.protocol.messages import (
     Command,
     DbcVersion,
     Fault,
+    FindRefusal,
+    FindResult,
+    FoundPosition,
+    FoundRotation,
     GateReason,
     JointType,
     LaserState,
@@ -80,6 +84,9 @@ EXAMPLES: tuple[BusMessage, ...] = (
     RobotSync(9, 12_345_678, None),
     TrackerSyncEcho(9, 1500, Source.LIVE),
     RobotPulse(20_000, 12_000, 3.4),
+    FindResult(7, FindRefusal.NONE, 0.4, -0.06, 0.14, math.nan, False),
+    FoundPosition(447.5, -88.0, math.nan),
+    FoundRotation.from_quaternion((0.6, 0.0, -0.8, 0.0), math.nan, 0.2),
     TrackerHeartbeat(
         TrackerState.TRACKING, Source.LIVE, LaserState.ON, Fault.NONE, 7, RequestResult.DONE, 12, 200
     ),

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from robot_io.protocol.codec import CodecError, decode, encode, out_of_range_as_unknown
 from robot_io.protocol.dbc import message_layout, payload_signals
 from robot_io.protocol.messages import (
+    FoundRotation,
     PoseKind,
     QuaternionComponent,
     RobotPosePosition,
@@ -82,9 +83,9 @@ def test_a_signal_that_cannot_be_unknown_refuses_none():
 
 def test_a_state_without_meaning_is_refused():
     frame = bytearray(8)
-    frame[1] = 0x70
-    with pytest.raises(CodecError, match=r"TrackerCommand\.command: 7 has no meaning; use one of 0 DISARM"):
-        decode(0x119, frame)
+    frame[2] = 0x02
+    with pytest.raises(CodecError, match=r"RobotStatus\.motion: 4 has no meaning; use one of 0 STOPPED"):
+        decode(0x118, frame)
 
 
 def test_a_raw_code_between_range_and_unknown_is_refused():
@@ -146,14 +147,17 @@ UNIT_QUATERNIONS = (
 )
 
 
-@given(UNIT_QUATERNIONS)
-def test_rotations_come_back_within_a_hundredth_of_a_degree(quaternion_xyzw):
-    arbitration_id, frame = encode(RobotPoseRotation.from_quaternion(quaternion_xyzw))
+@pytest.mark.parametrize(
+    ("kind", "others", "within_deg"), [(RobotPoseRotation, (), 0.01), (FoundRotation, (0.1, 0.1), 0.04)]
+)
+@given(quaternion_xyzw=UNIT_QUATERNIONS)
+def test_rotations_come_back_within_hundredths_of_a_degree(kind, others, within_deg, quaternion_xyzw):
+    arbitration_id, frame = encode(kind.from_quaternion(quaternion_xyzw, *others))
     back = decode(arbitration_id, frame)
-    assert isinstance(back, RobotPoseRotation)
+    assert isinstance(back, kind)
     assert math.hypot(*back.quaternion_xyzw) == pytest.approx(1.0, abs=1e-9)
     turn = Rotation.from_quat(back.quaternion_xyzw) * Rotation.from_quat(quaternion_xyzw).inv()
-    assert math.degrees(turn.magnitude()) < 0.01
+    assert math.degrees(turn.magnitude()) < within_deg
 
 
 def test_a_quaternion_that_is_none_is_refused():

@@ -107,6 +107,7 @@ def test_layout_changes_only_together_with_the_version():
         (1, 5, 0): LAYOUT_1_5_0,
         (1, 6, 0): LAYOUT_1_6_0,
         (1, 7, 0): LAYOUT_1_7_0,
+        (1, 8, 0): LAYOUT_1_8_0,
     }
     version = dbc_version()
     assert checksums[version.major, version.minor, version.patch] == layout_checksum()
@@ -120,3 +121,4 @@ LAYOUT_1_4_0 = 0xD7EEE7
 LAYOUT_1_5_0 = 0x80D38E
 LAYOUT_1_6_0 = 0xCC8EA3
 LAYOUT_1_7_0 = 0x08FA53
+LAYOUT_1_8_0 = 0x2AAE9B

@@ -256,9 +256,9 @@ def test_inbox_leaves_out_what_is_not_ours():
     assert inbox.receive(frame_of(0x7FF, b"")) is None
     assert inbox.receive(frame_of(arbitration_id, payload[:7])) is None
     undecodable = bytearray(8)
-    undecodable[1] = 0x70
-    e2e_p11_protect(undecodable, data_id(EXAMPLES[4]), increment_counter=False)
-    assert inbox.receive(frame_of(0x119, undecodable)) is None
+    undecodable[2] = 0x02
+    e2e_p11_protect(undecodable, data_id(EXAMPLES[3]), increment_counter=False)
+    assert inbox.receive(frame_of(0x118, undecodable)) is None
     assert inbox.skipped == {
         SkipReason.FOREIGN: 3,
         SkipReason.WRONG_LENGTH: 1,
