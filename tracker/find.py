@@ -136,6 +136,15 @@ class FoundJoint:
         return np.asarray(total / np.linalg.norm(total))
 
     @property
+    def R_base_found(self) -> Float64:
+        """Rotation (3, 3) of the joint's frame in base: x along the seam, y to its left, z the normal.
+
+        Where no face was seen z is the nominal seam's.
+        """
+        up = self.axes_base[2] if math.isnan(self.normal_sigma_deg) else self.normal_base
+        return _axes(self.axes_base[0], up).T
+
+    @property
     def normal_sigma_deg(self) -> float:
         """1 sigma of the surface's normal about the seam, degrees."""
         seen = self.face_sigmas_rad[np.isfinite(self.face_sigmas_rad)]

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 from arctrack.control import track_messages
 from arctrack.control.bus_delay import BusDelay
+from arctrack.control.find_responder import FindResponder, JointFinder
 from arctrack.control.heartbeat import HeartbeatSchedule
 from arctrack.control.job import NO_JOB, Job
 from arctrack.control.part_fitness import PartWatch
@@ -24,10 +25,14 @@ from robot_io import (
     CommandHeard,
     Conditions,
     Fault,
+    FindRefusal,
+    FindResult,
     GateReason,
     JointType,
     LaserState,
     LastSent,
+    MotionState,
+    PoseAt,
     Received,
     RequestResult,
     RobotStatus,
@@ -46,7 +51,7 @@ from robot_io import (
     message_layout,
 )
 from tracker import flags
-from tracker.state import NAN, Track
+from tracker.state import NAN, Frame, Track
 
 ARMING = (Command.ARM, Command.TRACK, Command.SEARCH, Command.HOLD)
 """The commands under which offsets may go out."""
@@ -76,6 +81,8 @@ class Controller:
         Where frames and poses come from. Frames are protected by whoever sends the messages.
     policy : ServicePolicy
         How long what was heard is trusted.
+    finder : JointFinder, optional
+        What answers a FIND; without one each is refused.
 
     Attributes
     ----------
@@ -88,7 +95,11 @@ class Controller:
     """
 
     def __init__(
-        self, job: Job | Mapping[int, Job], source: Source = Source.LIVE, policy: ServicePolicy | None = None
+        self,
+        job: Job | Mapping[int, Job],
+        source: Source = Source.LIVE,
+        policy: ServicePolicy | None = None,
+        finder: JointFinder | None = None,
     ) -> None:
         self.verdicts: Counter[Verdict] = Counter()
         self.reasons: Counter[GateReason] = Counter()
@@ -97,6 +108,7 @@ class Controller:
         self._source = source
         self._policy = policy or ServicePolicy()
         self._part, self._bus_delay = PartWatch(), BusDelay(self._policy)
+        self._find = FindResponder(finder)
         self._robot: TimedMessage[RobotStatus] | None = None
         self._command: TimedMessage[TrackerCommand] | None = None
         self._poses_doubt, self._poses_at_s = GateReason.POSE_IMPLAUSIBLE, NAN
@@ -128,6 +140,11 @@ class Controller:
     def state(self) -> TrackerState:
         """State that was sent last."""
         return self._state
+
+    @property
+    def is_finding(self) -> bool:
+        """True while a FIND waits for its answer."""
+        return self._find.is_pending
 
     @property
     def fault(self) -> Fault:
@@ -177,7 +194,15 @@ class Controller:
             delay_us = round(1e6 * received.max_age_s)
             known = 0 <= delay_us <= 1_048_574
             return [TrackerSyncEcho(message.sequence, delay_us if known else None, self._source)]
+        self._judge_find(now_s)
         return []
+
+    def on_shown(self, frame: Frame, pose: PoseAt, is_doubted: bool, now_s: float) -> None:
+        """Take a frame with its pose, for a FIND; `is_doubted` says that poses are not trusted."""
+        self._judge_find(now_s)
+        robot = self._fresh_robot(now_s)
+        is_moving = robot is not None and robot.motion is MotionState.MOVING
+        self._find.see(frame, pose, is_doubted, is_moving, now_s)
 
     def on_poses(self, doubt: GateReason, now_s: float) -> None:
         """Take the verdict on the newest poses: NONE, POSE_IMPLAUSIBLE or ROBOT_ELSEWHERE."""
@@ -238,8 +263,12 @@ class Controller:
         ]
 
     def poll(self, now_s: float) -> list[BusMessage]:
-        """Return the messages that are due: version, heartbeat, REFUSED where an offset holds no longer."""
+        """Return the messages that are due.
+
+        Version, heartbeat, REFUSED where an offset holds no longer, the answer to a FIND.
+        """
         self._follow_clock(now_s)
+        answers = self._find_answers(now_s)
         if not self._track_at_s <= now_s:
             # It begins, or the clock was set back: from now on a camera has its time.
             self._track_at_s = now_s
@@ -250,8 +279,8 @@ class Controller:
         is_refusal_sent = refused and not (is_repeated or self._is_refusal_owed)
         if reason is GateReason.NONE or is_refusal_sent:
             self._state = self._state_of(self._track, None, now_s)
-            return self._due(now_s)
-        return [*self._refuse(reason, now_s), *self._due(now_s)]
+            return [*answers, *self._due(now_s)]
+        return [*self._refuse(reason, now_s), *answers, *self._due(now_s)]
 
     def unsent(self, message: BusMessage) -> None:
         """Take back a message that did not go out.
@@ -266,7 +295,8 @@ class Controller:
         """Return the last messages, REFUSED first; nothing is VALID any more."""
         self._closed = True
         self._heartbeats.hurry()
-        return [*self._refuse(GateReason.SHUTTING_DOWN, now_s), *self._due(now_s)]
+        refused = self._refuse(GateReason.SHUTTING_DOWN, now_s)
+        return [*refused, *self._find_answers(now_s), *self._due(now_s)]
 
     def _follow_clock(self, now_s: float) -> None:
         """Note the time; where the clock was set back, what was sent is as old as it was a moment ago."""
@@ -377,7 +407,7 @@ class Controller:
         if command.command not in ARMING:
             self._was_disarmed = True
             self._forget_offset()
-            if command.command is not Command.STORE_ZERO:
+            if command.command not in (Command.STORE_ZERO, Command.FIND):
                 self._part.begin()
         if before is not None and before.message.request_number == command.request_number:
             return
@@ -385,6 +415,8 @@ class Controller:
         if command.command is Command.RESET:
             self._fault = Fault.NONE
             self._request_result = RequestResult.DONE
+        elif command.command is Command.FIND:
+            self._find.ask(command, now_s)
         elif command.command is Command.STORE_ZERO:
             # Whether the first request after the start is a new one, nobody knows.
             zero_mm = track_messages.displacement(
@@ -393,6 +425,39 @@ class Controller:
             self._request_result = RequestResult.REFUSED
             if before is not None and zero_mm is not None:
                 self._zero_mm, self._request_result = zero_mm, RequestResult.DONE
+
+    def _judge_find(self, now_s: float) -> None:
+        """Refuse a FIND that waits once it cannot be answered."""
+        if not self._find.is_pending:
+            return
+        command, robot = self._fresh_command(now_s), self._fresh_robot(now_s)
+        refusal = FindRefusal.NONE
+        if self._closed:
+            refusal = FindRefusal.SHUTTING_DOWN
+        elif command is None or command.command is not Command.FIND or not self._find.is_asked_by(command):
+            refusal = FindRefusal.WITHDRAWN
+        elif self._fault is not Fault.NONE:
+            refusal = FindRefusal.FAULT
+        elif self.job is NO_JOB:
+            refusal = FindRefusal.JOB_UNKNOWN
+        elif robot is None:
+            refusal = FindRefusal.ROBOT_STATUS_STALE
+        elif robot.arc is not Switch.OFF:
+            refusal = FindRefusal.ARC_ON
+        elif self._bus_delay.doubt(now_s) is not GateReason.NONE:
+            refusal = FindRefusal.BUS_DELAYED
+        if refusal is not FindRefusal.NONE:
+            self._find.refuse(refusal)
+
+    def _find_answers(self, now_s: float) -> list[BusMessage]:
+        """Return the answer to a FIND where it is there."""
+        self._judge_find(now_s)
+        answers = self._find.answers(self.job.part, now_s)
+        for answer in answers:
+            if isinstance(answer, FindResult) and answer.request_number == self._request_number:
+                is_found = answer.refusal is FindRefusal.NONE
+                self._request_result = RequestResult.DONE if is_found else RequestResult.REFUSED
+        return answers
 
     def _fresh_robot(self, now_s: float) -> RobotStatus | None:
         return fresh(self._robot, now_s, self._policy.status_age_s)

@@ -16,7 +16,8 @@ from arctrack.control.pose_watch import Doubt
 from arctrack.recording.run_offsets import OffsetOutcome
 from noise_model.compiled.arrays import Float64
 from robot_io import BusMessage, GateReason, PoseAt, PoseStatus, Received, RobotStatus, SeamOffset
-from tracker.state import AT_ONCE, NAN, OffsetLookAhead
+from robot_io.poses.pose_questions import Implausibility
+from tracker.state import AT_ONCE, NAN, Frame, OffsetLookAhead
 
 Shown = TypeVar("Shown", contravariant=True)
 
@@ -128,10 +129,11 @@ class TrackingService(Generic[Shown]):
         self.robot: RobotStatus | None = None
         self.look_ahead = AT_ONCE
         self._put, self._now_s, self._on_sent = send, now_s, on_sent
+        self._shown_before: tuple[Frame, float] | None = None
 
     def take_up(self, seam: SeamTracker[SeamTracking[Shown]]) -> None:
         """Track another seam from now on, of which nothing is known."""
-        self.seam, self.look_ahead = seam, AT_ONCE
+        self.seam, self.look_ahead, self._shown_before = seam, AT_ONCE, None
         seam.poses.begin()
         seam.tracking.begin()
 
@@ -159,7 +161,7 @@ class TrackingService(Generic[Shown]):
         T_base_tool = None if is_refused else pose.T_base_tool
         messages = self.controller.on_track(tracked.track, now_s, T_base_tool, tracked.took_ms)
         (offset,) = (message for message in messages if isinstance(message, SeamOffset))
-        return FrameOutcome(
+        outcome = FrameOutcome(
             tracked=tracked,
             T_base_tool=T_base_tool,
             messages=messages,
@@ -168,6 +170,19 @@ class TrackingService(Generic[Shown]):
             gate_reason=self.controller.gate_reason,
             pose_doubt=poses.doubt,
         )
+        self._show_before()
+        self._shown_before = (shown, captured_s) if isinstance(shown, Frame) else None
+        return outcome
+
+    def _show_before(self) -> None:
+        """Show the controller the frame before the newest: by now the poses after it are known, too."""
+        if self._shown_before is None or not self.controller.is_finding:
+            return
+        frame, captured_s = self._shown_before
+        poses = self.seam.poses
+        # A robot may search off the nominal seam.
+        is_doubted = poses.doubt not in (None, Implausibility.OFF_SEAM)
+        self.controller.on_shown(frame, poses.at(captured_s), is_doubted, self._now_s())
 
     def poll(self) -> None:
         """Send what is due."""

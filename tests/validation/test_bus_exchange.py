@@ -30,21 +30,23 @@ def test_the_load_is_that_of_the_longest_frames() -> None:
     # Davis et al., table of the paper: 8 bytes of data, 135 bits.
     assert frame_bits(8) == 135
     assert frame_bits(0) == 55
-    # Poses, status, command, sync, pulse of the robot; heartbeat, echo, version of the tracker; four a frame.
-    assert frames_per_s(50.0) == pytest.approx(200 + 50 + 10 + 10 + 10 + 10 + 10 + 1 + 4 * 50)
+    # Poses, status, command, sync, pulse of the robot; heartbeat, echo, version of the tracker; three frames
+    # of a find, asked for each second; four a frame.
+    assert frames_per_s(50.0) == pytest.approx(200 + 50 + 10 + 10 + 10 + 10 + 10 + 1 + 3 + 4 * 50)
 
 
 def test_the_exchange_starts_softly() -> None:
     messages = [message for _, _, message, _, _ in exchange()]
     offsets = [m for m in messages if isinstance(m, SeamOffset)]
-    assert [m.validity for m in offsets] == [Validity.REFUSED] + [Validity.VALID] * 3
-    assert [m.offset_y_mm for m in offsets[1:]] == pytest.approx([0.0, 0.4, 0.6])
+    assert [m.validity for m in offsets] == [Validity.REFUSED] + [Validity.VALID] * 3 + [Validity.REFUSED]
+    assert [m.offset_y_mm for m in offsets[1:4]] == pytest.approx([0.0, 0.4, 0.6])
     reasons = [m.gate_reason for m in messages if isinstance(m, TrackerStatus)]
     assert reasons == [
         GateReason.NOT_ARMED,
         GateReason.SOFT_START,
         GateReason.SOFT_START,
         GateReason.NONE,
+        GateReason.NOT_ARMED,
     ]
 
 

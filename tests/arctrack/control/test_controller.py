@@ -407,7 +407,7 @@ def test_the_laser_is_on_only_while_a_robot_that_is_heard_wants_it() -> None:
         for enable in Switch:
             cell.command = replace(TRACKS, command=command, laser_enable=enable)
             cell.step()
-            wanted = command in (*ARMING, Command.STORE_ZERO) and enable is Switch.ON
+            wanted = command in (*ARMING, Command.STORE_ZERO, Command.FIND) and enable is Switch.ON
             assert cell.controller.is_laser_on(cell.now_s) == wanted
     cell.command = TRACKS
     cell.step()
