@@ -24,7 +24,17 @@ from arctrack.simulation.cell.robot_node import RobotNode
 from arctrack.simulation.cell.scheduler import Scheduler
 from arctrack.simulation.cell.weld.closed_loop import LoopPlan, setup_of, world_of
 from arctrack.simulation.cell.weld.rendered_camera import RenderedCamera
-from robot_io import Command, OffsetUse, Received, RobotStatus, Switch, TrackerHeartbeat
+from robot_io import (
+    Command,
+    FindAssembler,
+    MotionState,
+    OffsetUse,
+    Received,
+    RobotStatus,
+    Switch,
+    TrackerHeartbeat,
+    WeldingState,
+)
 from tracker.state import Frame
 
 LONGEST_WAIT_S = 0.02
@@ -229,11 +239,17 @@ class Program:
 
     TRACK comes ARMED_S after a tracker's first heartbeat, once DISARM is acknowledged. At a part's end, after
     `part_mm`, the tracker is disarmed; once that is acknowledged the next part is there, and all begins
-    again.
+    again. A robot that `finds_first` stands without an arc until its first FIND is answered.
     """
 
-    def __init__(self, node: RobotNode, scheduler: Scheduler, part_mm: float) -> None:
+    def __init__(self, node: RobotNode, scheduler: Scheduler, part_mm: float, finds_first: bool) -> None:
         self._robot, self._scheduler, self._part_mm = node.robot, scheduler, part_mm
+        self._finds, self._is_found = FindAssembler(), not finds_first
+        self._welds = self._robot.status
+        if finds_first:
+            self._robot.status = replace(
+                self._welds, motion=MotionState.STOPPED, welding=WeldingState.OFF, arc=Switch.OFF
+            )
         self._beat_s = self._since_s = -math.inf
         self._is_ended = self._is_disarmed = False
         self._use = OffsetUse()
@@ -243,6 +259,8 @@ class Program:
     def _hear(self, received: Received, _frame: BusFrame) -> None:
         now_s = self._scheduler.now_s
         self._use.on_message(received, now_s)
+        if self._finds.push(received) is not None:
+            self._is_found, self._robot.status = True, self._welds
         if isinstance(received.message, TrackerHeartbeat):
             if now_s - self._beat_s > SILENT_S:
                 self._since_s = now_s
@@ -260,7 +278,11 @@ class Program:
         self._is_ended |= self._robot.station_mm >= self._part_mm
         may_track = self._is_disarmed and now_s - self._since_s >= ARMED_S
         if may_track and not (is_silent or self._is_ended):
-            self._robot.command = replace(said, command=Command.TRACK)
+            if self._is_found:
+                self._robot.command = replace(said, command=Command.TRACK)
+            elif said.command is not Command.FIND:
+                number = (said.request_number + 1) % 256
+                self._robot.command = replace(said, command=Command.FIND, request_number=number)
         elif said.command is not Command.DISARM:
             self._is_disarmed, number = False, (said.request_number + 1) % 256
             self._robot.command = replace(said, command=Command.DISARM, request_number=number)
@@ -275,7 +297,7 @@ def run_robot(
     node = RobotNode(Robot(world_of(plan, setup_of(plan))), bus, scheduler)
     robot = node.robot
     # Coordinates on the bus reach to 1638 mm.
-    Program(node, scheduler, min(plan.length_mm, 1500.0))
+    Program(node, scheduler, min(plan.length_mm, 1500.0), plan.finds_first)
 
     def capture() -> None:
         robot.advance(scheduler.now_s)

@@ -1,5 +1,6 @@
 """A live run of a cell file: what it needs is built and warmed up, then the loop has the process."""
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from arctrack.compiling import compiled_by_two
 from arctrack.control.bus_poses import BusPoses
 from arctrack.control.cell_file import CellFile
 from arctrack.control.controller import Controller
+from arctrack.control.find_responder import JointFinder
 from arctrack.control.frame_tracking import FrameTracking
 from arctrack.control.look_ahead import NOTHING_YET, LagEstimator
 from arctrack.control.pose_watch import nominal_path
@@ -23,9 +25,11 @@ from arctrack.live.cameras.camera import CameraProtocol
 from arctrack.live.cameras.recording import RecordingCamera
 from arctrack.live.cameras.shared_frames import SharedFramesError
 from arctrack.live.cameras.shared_memory import SharedMemoryCamera
-from arctrack.live.journal.message_pipe import PipeClient, message_pipe
+from arctrack.live.journal.message_pipe import PipeClient, PipeEnd, message_pipe
+from arctrack.live.journal.ring import RingError
 from arctrack.live.serve.captured_camera import CapturedCamera
 from arctrack.live.serve.exposure import ExposureChooser
+from arctrack.live.serve.find_process import LOST, FindClient, find_joints, frames_ring
 from arctrack.live.serve.journal_processes import JournalProcesses, open_journal
 from arctrack.live.serve.lag_process import estimate_lags
 from arctrack.live.serve.loop import LiveLoop, LiveSeam, LoopResult, OnTrack
@@ -80,7 +84,8 @@ def opened_run(
         # Niceness of the estimate of the robot's lag: nobody waits for it.
         estimating = SupervisedProcess("lag", estimate_lags, (), (its_end,), 5, lost=NOTHING_YET)
         lag = opened.enter_context(supervisor.running(estimating))
-        parts = run_parts(cell, job_number, PipeClient(lag_end))
+        finder, find_end = opened.enter_context(_finder(cell))
+        parts = run_parts(cell, job_number, PipeClient(lag_end), finder)
         opened.callback(parts.camera.close)
         if isinstance(parts.camera, CapturedCamera):
             opened.enter_context(supervisor.running(parts.camera.process))
@@ -90,8 +95,15 @@ def opened_run(
         for tracker in trackers.values():
             with compiled_by_two(tracker.geometry.setup):
                 tracker.warm_up()
+        awaited = [lag]
+        if parts.source is Source.LIVE:
+            # It loads what was compiled just now.
+            arguments = (str(os.getpid()), setups)
+            finding = SupervisedProcess("find", find_joints, arguments, (find_end,), 5, lost=LOST)
+            awaited.append(opened.enter_context(supervisor.running(finding)))
         open_bus = opened.enter_context(_robot_port(cell, supervisor))
-        lag.wait_ready()
+        for process in awaited:
+            process.wait_ready()
         opened.enter_context(supervisor.watching())
         # Once it is on the bus, a tracker must not wait for anything.
         try:
@@ -123,6 +135,18 @@ def opened_run(
             exposure=None if range_s is None else ExposureChooser(range_s, cell.camera.frame_rate_hz),
         )
         yield LiveRun(loop, journal)
+
+
+@contextmanager
+def _finder(cell: CellFile) -> Iterator[tuple[FindClient, PipeEnd]]:
+    """Yield what answers a FIND, and the end of its pipe for the process that does."""
+    end, its_end = message_pipe()
+    try:
+        ring = frames_ring(str(os.getpid()), cell.setup.setup)
+    except RingError as error:
+        raise in_file(cell.path, f"[camera] frames of a FIND: {error}") from None
+    with ring:
+        yield FindClient(end, ring), its_end
 
 
 @contextmanager
@@ -161,9 +185,14 @@ def run(
 
 
 def run_parts(
-    cell: CellFile, job_number: int | None = None, lag_estimator: LagEstimator | None = None
+    cell: CellFile,
+    job_number: int | None = None,
+    lag_estimator: LagEstimator | None = None,
+    finder: JointFinder | None = None,
 ) -> RunParts:
     """Return a cell file's camera, and what answers its frames; see `BusPoses` of the estimator.
+
+    `finder` answers the FIND of a live robot.
 
     Raises ArctrackError if the file states none, if it cannot be opened, or if a job's stripe is not in view.
     """
@@ -181,14 +210,16 @@ def run_parts(
         return RunParts(RecordingCamera(recording), played.controller, seams, Source.REPLAY)
     if job_number is not None:
         raise ArctrackError(f"--job {job_number}: a live robot names its job itself; leave it out")
-    return _live(cell, camera.name, lag_estimator)
+    return _live(cell, camera.name, lag_estimator, finder)
 
 
-def _live(cell: CellFile, frames: str, lag_estimator: LagEstimator | None) -> RunParts:
+def _live(
+    cell: CellFile, frames: str, lag_estimator: LagEstimator | None, finder: JointFinder | None
+) -> RunParts:
     """Return the camera of a name, and what answers a live robot."""
     setup_file = cell.setup
     jobs = {number: job.to_job(setup_file.setup, cell.limits) for number, job in cell.jobs.items()}
-    controller = Controller(jobs, Source.LIVE, cell.policy)
+    controller = Controller(jobs, Source.LIVE, cell.policy, finder)
     T_tool_controllertool = setup_file.T_tool_controllertool
     T_controllertool_tool = np.eye(4) if T_tool_controllertool is None else invert(T_tool_controllertool)
     seams: dict[int, LiveSeam] = {}

@@ -51,6 +51,7 @@ class LoopPlan:
     - `size_px`: the image's width and height; every size has the same field of view.
     - `path`: `circle:RADIUS` or `corner:RADIUS`, mm, in place of a straight seam. The part then lies
       displaced as a whole: by `displaced_mm` to the left of the path's start, and as far along it.
+    - `finds_first`: in a live run the robot stands without an arc and commands FIND before it welds.
     """
 
     joint: str = "corrugation"
@@ -70,6 +71,7 @@ class LoopPlan:
     exact: bool = True
     size_px: tuple[int, int] = (640, 480)
     path: str | None = None
+    finds_first: bool = False
 
 
 @dataclass(frozen=True)

@@ -120,8 +120,8 @@ def test_killed_neighbours_are_started_again_and_a_closed_terminal_ends_the_run(
             # A terminal that nobody reads holds the bar, and with it what comes before the loop.
             ear.listen(lambda: bool(run.shown) and ear.is_usable())
             page = next(word for word in run.shown.split() if word.startswith("http://"))
-            ear.listen(lambda: set(processes_of(page)) == {"lag", "watch", "black box", "page"})
-            for victim in ("lag", "watch", "black box", "page"):
+            ear.listen(lambda: set(processes_of(page)) == {"lag", "find", "watch", "black box", "page"})
+            for victim in ("lag", "find", "watch", "black box", "page"):
                 before = len(ear.offsets())
                 os.kill(processes_of(page)[victim]["pid"], signal.SIGKILL)
                 ear.listen(lambda victim=victim: f"{victim}: runs again" in run.shown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -14,6 +15,7 @@ from pathlib import Path
 import can
 import pytest
 from made import replace_in, results_of
+from scipy.spatial.transform import Rotation
 
 from arctrack.live.cameras.shared_frames import SharedFramesReader
 from arctrack.live.serve.simulated import (
@@ -29,11 +31,16 @@ from arctrack.simulation.cell.weld.closed_loop import LoopPlan
 from robot_io import (
     ANY_SOURCE,
     Command,
+    FindAnswer,
+    FindAssembler,
+    FindRefusal,
     GateLimits,
     Inbox,
     OffsetUse,
+    RequestResult,
     SeamOffset,
     TrackerCommand,
+    TrackerHeartbeat,
     Validity,
 )
 
@@ -71,6 +78,7 @@ class Ear:
     def __init__(self, bus: can.BusABC) -> None:
         self.bus, self.inbox, self.use = bus, Inbox(ANY_SOURCE), OffsetUse()
         self.messages: list = []
+        self.finds, self.answers = FindAssembler(), list[FindAnswer]()
 
     def listen(self, is_so, seconds: float = 60.0) -> None:
         """Listen until something is so."""
@@ -82,6 +90,8 @@ class Ear:
             if received is not None:
                 self.messages.append(received.message)
                 self.use.on_message(received, time.monotonic())
+                answer = self.finds.push(received)
+                self.answers += [] if answer is None else [answer]
 
     def is_usable(self) -> bool:
         return self.use.offset(time.monotonic()) is not None
@@ -171,6 +181,47 @@ def test_a_robot_that_turns_on_a_circle_follows_the_offsets_of_another_process(m
         valid = [o for o in ear.offsets() if o.validity is Validity.VALID]
         # What is to the left turns with the robot: of such a part no more than its whole displacement.
         assert max(abs(o.offset_y_mm) for o in valid) < 2.0**0.5 + 0.3
+    finally:
+        if process is not None:
+            process.kill()
+            process.communicate()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("compiled")
+def test_a_robot_that_asks_is_told_where_the_joint_is_and_then_follows_it(multicast, tmp_path: Path):
+    name, plan = f"find-{os.getpid()}", replace(PLAN, finds_first=True)
+    cell = write_simulated_cell(tmp_path / "cell", plan, INTERFACE, GROUP, name)
+    process = None
+    try:
+        with (
+            SimulatedCell(plan, name) as robot,
+            can.Bus(**(multicast | robot.bus_options), ignore_config=True) as bus,
+        ):
+            ear = Ear(bus)
+            process = started(TRACKER, str(cell), str(robot.bus_options["port"]))
+            ear.listen(lambda: ear.answers, 120.0)
+            ear.listen(ear.is_usable)
+            process.send_signal(signal.SIGTERM)
+            ear.listen(lambda: process.poll() is not None)
+            assert process.stdout.read().splitlines()[-1] == "after ready: loaded [], compiled 0"
+            robot.stop()
+        (answer,) = ear.answers
+        result, position, rotation = answer.result, answer.position, answer.rotation
+        assert result.refusal is FindRefusal.NONE
+        asked = [m for m in ear.messages if isinstance(m, TrackerCommand) and m.command is Command.FIND]
+        assert {m.request_number for m in asked} == {result.request_number}
+        beats = [m for m in ear.messages if isinstance(m, TrackerHeartbeat)]
+        assert (result.request_number, RequestResult.DONE) in {
+            (beat.request_number, beat.request_result) for beat in beats
+        }
+        # The seam lies to the left of the path, along x, and the robot stands where its path begins.
+        assert position.y_mm == pytest.approx(plan.displaced_mm, abs=max(0.1, 3.0 * result.sigma_y_mm))
+        assert 0.0 < result.sigma_y_mm < 0.5
+        along, _, up = Rotation.from_quat(rotation.quaternion_xyzw).as_matrix().T
+        assert along[0] > 0.99
+        assert up[2] > 0.99
+        assert math.isnan(rotation.direction_sigma_deg)
     finally:
         if process is not None:
             process.kill()
