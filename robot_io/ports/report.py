@@ -4,6 +4,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
+from robot_io.find_answer import FindAnswer
 from robot_io.poses.nominal_path import Quaternion, Vector
 from robot_io.protocol.messages import (
     Command,
@@ -54,7 +55,8 @@ class PortCorrection:
     """Answer to a report.
 
     `y_mm` and `z_mm` are the displacement to be applied, mm in S, always finite: where `is_usable` is false
-    it stays what it was. `age_ms` is the age of the capture behind it, NaN where none counts.
+    it stays what it was. `age_ms` is the age of the capture behind it, NaN where none counts. `find` answers
+    the program's FIND; None under another command, and until the answer is there.
     """
 
     y_mm: float
@@ -63,6 +65,7 @@ class PortCorrection:
     age_ms: float
     state: TrackerState
     reason: GateReason
+    find: FindAnswer | None = None
 
 
 class Dialect(ABC):
@@ -89,14 +92,17 @@ class ProgramWord:
     """State of the robot's program in 32 bits: all 0 allows nothing.
 
     Bits 0 to 2 are the `Command`; then laser, correction, arc, moving, automatic, and emergency stop
-    released; bits 16 to 31 are the job's number. PortError for a bit or a command without a meaning.
+    released; bits 16 to 31 are the job's number. PortError for a bit without a meaning, and for FIND, whose
+    answer the protocols with such a word cannot carry.
     """
 
     word: int
 
     def __post_init__(self) -> None:
-        if not 0 <= self.word < 2**32 or self.word & 0xFE00 or self.word & 7 > max(Command):
-            raise PortError(f"program word {self.word:#x}: bits 9 to 15 must be 0, bits 0 to 2 a command")
+        if not 0 <= self.word < 2**32 or self.word & 0xFE00 or self.word & 7 == Command.FIND:
+            raise PortError(
+                f"program word {self.word:#x}: bits 9 to 15 must be 0, bits 0 to 2 a command other than FIND"
+            )
 
     def report(
         self,

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import can
 
+from robot_io.find_answer import FindAnswer, FindAssembler
 from robot_io.link.inbox import Inbox
 from robot_io.offset_use import OffsetUse
 from robot_io.ports.report import PortCorrection, PortReport
@@ -40,7 +41,7 @@ RATE_MM_S = 20.0
 MAX_STEP_S = 0.05
 """Time between reports over which a displacement moves at most: EGM's slowest cycle is 48 ms."""
 
-DISARMING = (Command.DISARM, Command.RESET, Command.STORE_ZERO)
+DISARMING = (Command.DISARM, Command.RESET, Command.STORE_ZERO, Command.FIND)
 """Commands under which no offset goes out."""
 
 CanFrame = tuple[int, bytes]
@@ -91,6 +92,8 @@ class RobotSession:
         self._applied_mm = [0.0, 0.0]
         self._offset_at_s = math.nan
         self._state, self._reason = TrackerState.UNKNOWN, GateReason.UNKNOWN
+        self._finds = FindAssembler()
+        self._find: FindAnswer | None = None
 
     def take(self, report: PortReport, read_at_s: float) -> list[CanFrame] | None:
         """Return the frames of a report that was read at a time, s.
@@ -117,6 +120,7 @@ class RobotSession:
         if received is None:
             return
         self._use.on_message(received, now_s)
+        self._find = self._finds.push(received) or self._find
         message = received.message
         if isinstance(message, SeamOffset):
             self._offset_at_s = now_s - max_age_s
@@ -144,7 +148,18 @@ class RobotSession:
                 way_mm = aim_mm - self._applied_mm[axis]
                 self._applied_mm[axis] += max(-step_mm, min(way_mm, step_mm))
         y_mm, z_mm = self._applied_mm
-        return PortCorrection(y_mm, z_mm, offset is not None, age_ms, self._state, self._reason)
+        find = self._find
+        is_answered = find is not None and find.result.request_number == self._request_number
+        is_find = report.command is self._command is Command.FIND
+        return PortCorrection(
+            y_mm,
+            z_mm,
+            offset is not None,
+            age_ms,
+            self._state,
+            self._reason,
+            find if is_find and is_answered else None,
+        )
 
     def _messages(self, report: PortReport, age_s: float, now_s: float) -> Iterator[BusMessage]:
         command = self._obeyed(report, now_s)
@@ -177,6 +192,7 @@ class RobotSession:
         command = wanted if is_allowed else Command.DISARM
         if command is not self._command:
             self._command, self._request_number = command, (self._request_number + 1) % 256
+            self._find = None
             self._is_acknowledged &= command is not Command.DISARM
         if command is Command.DISARM:
             self._is_acknowledged |= self._use.is_disarm_acknowledged(self._request_number, now_s)

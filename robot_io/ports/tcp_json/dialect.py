@@ -5,6 +5,7 @@ import math
 from enum import IntEnum
 from typing import Any, TypeVar
 
+from robot_io.find_answer import FindAnswer
 from robot_io.ports.report import Dialect, PortCorrection, PortError, PortReport
 from robot_io.protocol.messages import Command, MotionState, RobotMode, RobotStatus, Switch, WeldingState
 
@@ -43,8 +44,12 @@ class JsonDialect(Dialect):
         return reports, reply
 
     def answer(self, report: PortReport, correction: PortCorrection) -> bytes:
-        """Return the line that answers a report; offsets that do not count are null."""
+        """Return the line that answers a report; offsets that do not count are null.
+
+        Under FIND it has the joint, null until the tracker has answered.
+        """
         usable = correction.is_usable
+        find = {"find": _found(correction.find)} if report.command is Command.FIND else {}
         return _line(
             {
                 "seq": report.stamp,
@@ -54,6 +59,7 @@ class JsonDialect(Dialect):
                 "age_ms": round(correction.age_ms, 1) if usable else None,
                 "state": correction.state.name,
                 "reason": correction.reason.name,
+                **find,
             }
         )
 
@@ -103,6 +109,33 @@ def _parsed(line: bytes) -> dict[str, Any]:
     if not isinstance(said, dict):
         raise PortError("a line that is no object")
     return said
+
+
+def _found(find: FindAnswer | None) -> dict[str, object] | None:
+    """Return an answer to a FIND as the stream says it: what is not known is null."""
+    if find is None:
+        return None
+    result, position, rotation = find.result, find.position, find.rotation
+    return {
+        "refusal": result.refusal.name,
+        "position_mm": _all_known(position.x_mm, position.y_mm, position.z_mm),
+        "quaternion_xyzw": _all_known(*rotation.quaternion_xyzw),
+        "sigma_y_mm": _known(result.sigma_y_mm),
+        "sigma_z_mm": _known(result.sigma_z_mm),
+        "direction_sigma_deg": _known(rotation.direction_sigma_deg),
+        "normal_sigma_deg": _known(rotation.normal_sigma_deg),
+        "gap_mm": _known(result.gap_mm),
+        "mismatch_mm": _known(result.mismatch_mm),
+        "joint_misfit": result.joint_misfit,
+    }
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else round(value, 5)
+
+
+def _all_known(*values: float) -> list[float] | None:
+    return None if any(map(math.isnan, values)) else [round(value, 5) for value in values]
 
 
 def _line(said: dict[str, Any]) -> bytes:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import re
 import struct
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 from hypothesis import given
@@ -17,12 +19,28 @@ from port_cell import DIALECTS, connected
 from vendor_robots import ROBOTS, Said, message, package, tagged, varint
 
 from arctrack.control.cell_file.choices import PORT_NAMES
-from robot_io import Command, GateReason, MotionState, RobotMode, Switch, TrackerState
+from robot_io import (
+    BusMessage,
+    Command,
+    FindRefusal,
+    FindResult,
+    FoundPosition,
+    FoundRotation,
+    GateReason,
+    MotionState,
+    Protector,
+    RobotMode,
+    Switch,
+    TrackerCommand,
+    TrackerState,
+    decode,
+)
 from robot_io.ports.egm.dialect import EgmDialect
 from robot_io.ports.port import PORTS, address_of
 from robot_io.ports.report import PortCorrection, PortError, ProgramWord
 from robot_io.ports.rsi.dialect import RsiDialect
 from robot_io.ports.rtde.dialect import RtdeDialect
+from robot_io.ports.session import RobotSession
 from robot_io.ports.tcp_json.dialect import JsonDialect
 
 each_interface = pytest.mark.parametrize("interface", ROBOTS)
@@ -243,3 +261,41 @@ def test_the_page_has_the_words_bits() -> None:
     for job, command in ((66044, 4), (66008, 0)):
         assert str(job) in page
         assert replace(Said(), command=command, arc=command != 0).word == job
+
+
+def test_a_find_is_asked_and_answered_over_the_stream_alone() -> None:
+    (robot, dialect), session, tracker = connected("tcp_json"), RobotSession(), Protector()
+    number, now_s = -1, 100.0
+
+    def answered(command: Command, *heard: BusMessage) -> dict:
+        """Return the answer to a report, the tracker having sent messages behind it."""
+        nonlocal now_s, number
+        now_s += 0.2
+        ((report,), _) = dialect.hear(robot.report(Said(time_s=now_s, command=command)))
+        for arbitration_id, data in session.take(report, now_s):
+            sent = decode(arbitration_id, data)
+            number = sent.request_number if isinstance(sent, TrackerCommand) else number
+        for message_heard in heard:
+            arbitration_id, data = tracker.protect(message_heard)
+            frame = can.Message(arbitration_id=arbitration_id, data=data, is_extended_id=False)
+            session.hear(frame, now_s, 0.0)
+        return json.loads(dialect.answer(report, session.correction(report, now_s)))
+
+    assert "find" not in answered(Command.DISARM)
+    assert answered(Command.FIND)["find"] is None
+    rotation = FoundRotation.from_quaternion((0.0, 0.0, 0.0, 1.0), math.nan, 0.2)
+    result = FindResult(number, FindRefusal.NONE, 0.5, math.nan, 0.14, 0.34, False)
+    messages = (result, FoundPosition(65.425, 0.1, -3.725), rotation)
+    told = answered(Command.FIND, *messages)["find"]
+    assert told["refusal"] == "NONE"
+    assert told["position_mm"] == pytest.approx([65.425, 0.1, -3.725])
+    assert told["quaternion_xyzw"] == [0.0, 0.0, 0.0, 1.0]
+    assert told["sigma_z_mm"] == pytest.approx(0.34)
+    assert told["mismatch_mm"] is told["direction_sigma_deg"] is None
+    assert answered(Command.FIND)["find"] == told
+    # Another command ends it; the next FIND is another request, which an old answer is none to.
+    assert "find" not in answered(Command.DISARM)
+    assert answered(Command.FIND, *messages)["find"] is None
+    for word in (Said(command=7).word, 7):
+        with pytest.raises(PortError, match="other than FIND"):
+            ProgramWord(word)

@@ -216,7 +216,7 @@ class JsonRobot:
                     "arc": on[said.arc],
                     "emergency_stop": on[said.stopped],
                     "correction": on[said.correction],
-                    "command": ["DISARM", "ARM", "RESET", "SEARCH", "TRACK", "HOLD", "STORE_ZERO"][
+                    "command": ["DISARM", "ARM", "RESET", "SEARCH", "TRACK", "HOLD", "STORE_ZERO", "FIND"][
                         said.command
                     ],
                     "laser": on[said.laser],
