@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from tracker.seam.curve import MIN_STRETCHES, STRETCH_TURN, SeamCurve
+from tracker.seam.curve import (
+    MIN_STRETCHES,
+    POINT_SCATTER_MM,
+    STRETCH_TURN,
+    SYSTEMATIC_MM,
+    SYSTEMATIC_SLOPE,
+    SeamCurve,
+    prior_covariance,
+)
 
 
 def tracked(y_of, sigma_mm=0.01, has_ridges=False):
@@ -30,6 +38,26 @@ def test_the_curve_runs_through_what_was_tracked():
 def test_modes_are_small_where_the_seam_was_seen():
     curve = tracked(lambda station: 0.0)
     assert curve.sigma_mm(45.0)[0] < 0.5 * curve.sigma_mm(0.0)[0]
+
+
+@pytest.mark.parametrize("length_mm", [70.0, 1000.0])
+def test_modes_leave_nothing_of_the_seam_that_images_show(length_mm):
+    """A frame's images show their seam to 2 um: what modes left out, an effect would have to explain."""
+    seen = np.arange(10.0, length_mm, 2.5)
+    of_point = np.full((len(seen), 2), 0.011**2)
+    curve = SeamCurve.of(seen, np.zeros((len(seen), 2)), of_point, (0.0, length_mm), False)
+    stations, middle = curve.stations_mm, 0.5 * (curve.stations_mm[0] + curve.stations_mm[-1])
+    for axis, bend_mm in enumerate((1.0, 0.02)):
+        prior, across, of_seen = (
+            prior_covariance(x, other, middle, bend_mm)
+            for x, other in ((stations, stations), (seen, stations), (seen, seen))
+        )
+        noise = np.diag(of_point[:, axis] + POINT_SCATTER_MM**2)
+        covariance = prior - across.T @ np.linalg.solve(of_seen + noise, across)
+        covariance += SYSTEMATIC_MM**2
+        covariance += np.outer(stations - middle, stations - middle) * SYSTEMATIC_SLOPE**2
+        left_mm2 = np.diag(covariance) - np.sum(curve.modes_mm[:, axis] ** 2, axis=0)
+        assert np.sqrt(left_mm2.mean()) < 0.0021
 
 
 def test_a_seam_that_was_never_seen_is_the_nominal_one_give_or_take():

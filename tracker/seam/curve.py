@@ -27,8 +27,12 @@ Plates are straight: a height that bent between view and torch would look like t
 SYSTEMATIC_MM, SYSTEMATIC_SLOPE = 0.05, 0.001
 """1 sigma of the tracker's systematic error with the right camera: in offset and in slope."""
 
-N_MODES = (5, 3)
-"""Modes of y and of z: a stripe would not show further ones."""
+MODES_LEAVE_MM = 0.002
+"""Largest rms over the stations, mm, of the part of a seam that its modes leave out.
+
+Bins of a diagnosis show the seam to about 2 um, and what modes left out an effect would seem to explain. Half
+or twice as much changes the number of modes by a tenth or so: each is smaller than the one before.
+"""
 
 STRETCH_TURN, MIN_STRETCHES = 0.0015, 3
 """Change of slope from one straight stretch to the next, and their least number: a fit may bend the seam.
@@ -70,8 +74,8 @@ class SeamCurve:
         """Return the curve between two stations that fits the seam's observations.
 
         They are displacements (n, 2) as y and z at stations (n,), with their variances (n, 2). `systematic`
-        is 1 sigma, mm and mm/mm, of their common error, in position and in slope. Modes of y come first,
-        `N_MODES` of either.
+        is 1 sigma, mm and mm/mm, of their common error, in position and in slope. Modes of y come first, as
+        many of either as leave no more than `MODES_LEAVE_MM`.
         """
         stations = np.arange(ends_mm[0], ends_mm[1] + GRID_MM, GRID_MM)
         means, modes = [], []
@@ -80,11 +84,14 @@ class SeamCurve:
             along = stations - _middle(stations)
             turned = np.outer(along, along) * systematic[1] ** 2
             values, vectors = np.linalg.eigh(covariance_mm2 + systematic[0] ** 2 + turned)
-            largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(len(stations))]
-            scaled = np.sqrt(np.maximum(values, 0.0)) * np.sign(largest) * vectors
+            # The smallest come first: what all up to each of them together would leave.
+            left_mm2 = np.cumsum(np.maximum(values, 0.0)) / len(stations)
+            shown = np.flatnonzero(left_mm2 > MODES_LEAVE_MM**2)[::-1]
+            vectors = vectors[:, shown]
+            largest = vectors[np.argmax(np.abs(vectors), axis=0), np.arange(len(shown))]
             means.append(mean)
-            of_axis = np.zeros((N_MODES[axis], 2, len(stations)))
-            of_axis[:, axis] = scaled[:, ::-1].T[: N_MODES[axis]]
+            of_axis = np.zeros((len(shown), 2, len(stations)))
+            of_axis[:, axis] = (np.sqrt(values[shown]) * np.sign(largest) * vectors).T
             modes.append(of_axis)
         return cls(stations, np.array(means), np.concatenate(modes), has_ridges)
 
