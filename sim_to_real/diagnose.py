@@ -170,8 +170,8 @@ class Assessment(NamedTuple):
 
     @property
     def is_refuted(self) -> bool:
-        """True if a clear gap becomes larger with the effects that are to explain it."""
-        return bool(self.after.ids) and self.gap.is_clear_after and self.gap.after > self.gap.before
+        """True if effects explain nothing of the frames held out."""
+        return bool(self.after.ids) and self.gap.explains_nothing
 
 
 class HeldOut(NamedTuple):

@@ -80,7 +80,9 @@ class Gap:
 
     `floor` is the model's own error. `closed` = (before - after) / (before - floor), with its 95 % interval
     over places of the image; NaN without a gap. `seam_mm` is the rms distance of the tracker's seam from the
-    one fitted to all images, for a tracker without the named effects and for one with them.
+    one fitted to all images, for a tracker without the named effects and for one with them. `p_nearer` is the
+    share of draws of such places in which the prediction after is nearer to the frames than that before, in
+    the same sigmas; NaN where no pixel counts.
     """
 
     before: float
@@ -90,6 +92,12 @@ class Gap:
     ci95: tuple[float, float]
     rms_dn: tuple[float, float]
     seam_mm: tuple[float, float]
+    p_nearer: float
+
+    @property
+    def explains_nothing(self) -> bool:
+        """True if the effects' gain on held-out frames is not told from none by its 95 % interval."""
+        return self.p_nearer < 0.975
 
     @property
     def is_clear_after(self) -> bool:

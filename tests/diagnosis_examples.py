@@ -60,6 +60,7 @@ def example(verdict: DiagnosisVerdict, setup: Setup, effects: Effects = GAMMA) -
             (0.94, 0.97) if is_gap else (math.nan, math.nan),
             (rms(predicted.recorded, predicted.before), rms(predicted.recorded, predicted.after)),
             (0.21, 0.05) if is_gap else (0.01, 0.01),
+            1.0 if is_gap else 0.5,
         ),
         where=where(predicted, stage, is_gap),
         next=Next("two exposures, arc off", (next(iter(effects)), "exposure_drift"), True)

@@ -63,6 +63,7 @@ def report(diagnosis: Diagnosis, without: Sequence[str] = ()) -> dict[str, Any]:
             "ci95": gap.ci95,
             "rms_dn": _before_after(gap.rms_dn),
             "seam_mm": _before_after(gap.seam_mm),
+            "p_nearer": gap.p_nearer,
         },
         "where": _where(diagnosis.where),
         "next": _next(diagnosis.next),

@@ -188,6 +188,7 @@ def measure_gap(
             _squares(predicted.recorded - predicted.after, predicted.variance_after, counts),
             _squares(np.hypot(FLOOR_REL * light_dn, FLOOR_DN), predicted.variance_after, counts),
             counts.astype(np.float64),
+            _squares(predicted.recorded - predicted.before, predicted.variance_after, counts),
         ]
     )
     # A model's error recurs at a place in every frame: a draw takes a block in all of them.
@@ -195,7 +196,9 @@ def measure_gap(
     before, after, floor = _gaps(squares.sum(axis=(1, 2, 3)))
     # Draws of the bootstrap.
     draws = np.random.default_rng(seed).integers(0, blocks.shape[1], (400, blocks.shape[1]))
-    drawn = np.array([_closed_share(*_gaps(blocks[:, draw].sum(axis=1))) for draw in draws])
+    sums = blocks[:, draws].sum(axis=2)
+    drawn = np.array([_closed_share(*_gaps(of_draw)) for of_draw in sums.T])
+    p_nearer = float(np.mean(sums[1] < sums[4])) if counts.any() else np.nan
     # If more draws than an end leaves out have no gap above the floor, the share has no bounds.
     ends = 2.5, 97.5
     is_bounded = 100.0 * np.mean(np.isnan(drawn)) < ends[0]
@@ -205,7 +208,16 @@ def measure_gap(
         for mean in (predicted.before, predicted.after)
     ]
     closed = _closed_share(before, after, floor)
-    return Gap(before, after, floor, closed, (float(low), float(high)), (rms[0], rms[1]), seam_mm)
+    return Gap(
+        before,
+        after,
+        floor,
+        closed,
+        ci95=(float(low), float(high)),
+        rms_dn=(rms[0], rms[1]),
+        seam_mm=seam_mm,
+        p_nearer=p_nearer,
+    )
 
 
 def _squares(residuals_dn: Float64 | Float32, variance: Float64 | Float32, counts: Bool) -> Float64:
@@ -213,7 +225,7 @@ def _squares(residuals_dn: Float64 | Float32, variance: Float64 | Float32, count
 
 
 def _gaps(sums: Float64) -> tuple[float, float, float]:
-    """Return before, after and floor of the sums (4,) of their squares and of the counts."""
+    """Return before, after and floor of the sums (5,) of their squares and, fourth, of the counts."""
     if sums[3] == 0.0:
         return np.nan, np.nan, np.nan
     before, after, floor = sums[:3] / sums[3]

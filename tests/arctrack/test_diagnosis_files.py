@@ -39,7 +39,7 @@ def test_keys_and_types(verdict: DiagnosisVerdict, seen_setup: Setup, tmp_path: 
     for candidate in content["ranking"]:
         assert list(candidate) == ["id", "confidence", "gap_closed"]
     gap = content["gap"]
-    assert list(gap) == ["before", "after", "floor", "closed", "ci95", "rms_dn", "seam_mm"]
+    assert list(gap) == ["before", "after", "floor", "closed", "ci95", "rms_dn", "seam_mm", "p_nearer"]
     assert all(list(gap[name]) == ["before", "after"] for name in ("rms_dn", "seam_mm"))
     where = content["where"]
     assert list(where) == ["stage", "stages", "covariates", "strata", "image", "map"]

@@ -155,8 +155,14 @@ def test_effects_beside_something_unknown_are_said(seen_setup: Setup) -> None:
     gap = replace(found.gap, before=3.0, after=1.2, floor=0.3, closed=2.0 / 3.0, ci95=(0.6, 0.7))
     beside = replace(found, verdict=DiagnosisVerdict.UNKNOWN, gap=gap)
     assert words.headline(beside) == (
-        f"There is a gap of 3.0 σ, of gamma ({words.summary('gamma')}) and of something unknown."
+        f"gamma ({words.summary('gamma')}) beside something unknown: gamma closes 67 % of the gap of 3.0 σ."
     )
+    gamma = beside.effects[0]
+    two = replace(gamma, share=0.75), replace(gamma, id="fume", share=0.25)
+    shares = "gamma closes 50 % and fume closes 17 % of the gap of 3.0 σ."
+    assert words.headline(replace(beside, effects=two)).endswith(f" beside something unknown: {shares}")
+    small = replace(beside, gap=replace(gap, before=0.2, closed=math.nan))
+    assert words.headline(small).endswith(" beside something unknown, in a gap of 0.20 σ.")
     assert "closes 67 % (60 to 70 %) of what exceeds" in words.how_far(beside)
     assert words.how_far(beside).endswith("The rest is unknown.")
     assert advice(beside)[0].startswith("gamma: ")
@@ -372,7 +378,7 @@ def test_numbers_in_words() -> None:
     assert words.as_factor("gamma", ParameterEstimate(0.5, 0.1, "")) == ""
     assert words.number(float("inf")) == "–"
     assert [words.number(value) for value in (123.4, 18.2, -3.98, 0.0)] == ["123", "18", "−4.0", "0.0"]
-    gap = Gap(4.0, 0.0, 0.2, 1.05, (1.04, 1.06), (5.0, 1.0), (0.1, 0.0))
+    gap = Gap(4.0, 0.0, 0.2, 1.05, (1.04, 1.06), (5.0, 1.0), (0.1, 0.0), 1.0)
     assert words.closed_share(gap) == "100 %"
     assert words.closed_share(replace(gap, closed=0.93, ci95=(0.9, 0.95))) == "93 % (90 to 95 %)"
     assert words.closed_share(replace(gap, closed=math.nan, ci95=(math.nan, math.nan))) == "–"

@@ -172,18 +172,19 @@ def test_no_reason_has_more_evidence_than_the_best_of_all():
 
 
 @pytest.mark.parametrize(
-    ("ids", "before", "after", "is_refuted"),
+    ("ids", "p_nearer", "is_refuted"),
     [
-        (("gamma",), 3.0, 10.0, True),
-        (("gamma",), 3.0, 1.0, False),
-        # No clear gap is left.
-        (("gamma",), 0.1, 0.2, False),
+        (("gamma",), 0.0, True),
+        (("gamma",), 0.6, True),
+        (("gamma",), 1.0, False),
+        # No pixel counts.
+        (("gamma",), np.nan, False),
         # Nothing was to explain it.
-        ((), 3.0, 3.1, False),
+        ((), 0.0, False),
     ],
 )
-def test_effects_that_enlarge_the_gap_of_frames_held_out_are_refuted(ids, before, after, is_refuted):
-    gap = Gap(before, after, 0.2, 0.5, (0.4, 0.6), (1.0, 1.0), (0.1, 0.1))
+def test_effects_that_explain_nothing_of_frames_held_out_are_refuted(ids, p_nearer, is_refuted):
+    gap = Gap(0.1334, 0.1332, 0.2, np.nan, (np.nan, np.nan), (1.0, 1.0), (0.1, 0.1), p_nearer)
     assert Assessment(None, SimpleNamespace(ids=ids), None, None, gap).is_refuted is is_refuted
 
 
@@ -200,7 +201,7 @@ def test_effects_that_enlarge_the_gap_of_frames_held_out_are_refuted(ids, before
     ],
 )
 def test_frames_held_out_refute_what_does_not_explain_them(verdict, after, closed, expected):
-    gap = Gap(1.0, after, 0.2, closed, (0.0, 0.0), (1.0, 1.0), (0.1, 0.1))
+    gap = Gap(1.0, after, 0.2, closed, (0.0, 0.0), (1.0, 1.0), (0.1, 0.1), 1.0)
     assert weaken_by_held_out(verdict, gap, POLICY) is expected
 
 

@@ -1,5 +1,7 @@
 """The gap in frames that were held back, and how sure its size is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,3 +45,13 @@ def test_more_frames_that_are_off_alike_say_nothing_more():
 def test_where_there_may_be_no_gap_the_share_closed_has_no_bounds():
     setup = example_setup()
     assert np.isnan(measure_gap(held(4, 0.3, 0.7), setup, SEAM_MM).ci95).all()
+
+
+def test_what_explains_nothing_is_told_from_what_explains_little():
+    """Both change the light by as much, below the model's floor: one as the frames do, one at random."""
+    setup, off = example_setup(), held(4, 0.3, 0.2)
+    unlike = np.random.default_rng(5).permutation((off.after - off.before)[0].ravel()).reshape(SHAPE)
+    unlike = replace(off, after=off.before + unlike)
+    some, nothing = (measure_gap(predicted, setup, SEAM_MM) for predicted in (off, unlike))
+    assert not some.explains_nothing
+    assert nothing.explains_nothing

@@ -102,9 +102,19 @@ def headline(diagnosis: Diagnosis) -> str:
             "than its tolerance."
         )
     if diagnosis.effects:
-        what = listed([f"{effect.id} ({summary(effect.id)})" for effect in diagnosis.effects], "and")
-        return f"There is a gap of {sigmas(gap.before)}, of {what} and of something unknown."
+        return _with_unknown(diagnosis)
     return f"There is a gap of {sigmas(gap.before)} that no effect of the catalogue explains."
+
+
+def _with_unknown(diagnosis: Diagnosis) -> str:
+    """Return effects beside something unknown, each with the share of the gap that it closes."""
+    gap, effects = diagnosis.gap, diagnosis.effects
+    what = listed([f"{effect.id} ({summary(effect.id)})" for effect in effects], "and")
+    if not math.isfinite(gap.closed):
+        return f"{what} beside something unknown, in a gap of {sigmas(gap.before)}."
+    closed = min(max(gap.closed, 0.0), 1.0)
+    shares = listed([f"{effect.id} closes {percent(effect.share * closed)}" for effect in effects], "and")
+    return f"{what} beside something unknown: {shares} of the gap of {sigmas(gap.before)}."
 
 
 def how_far(diagnosis: Diagnosis) -> str:
