@@ -28,6 +28,7 @@ from tracker.joint.upright_edge import Edge, EdgeScatter, HiddenStrip, edge_cova
 from tracker.stripe.edge import (
     MIN_SIGMA,
     MIN_STRIPE_SHARE,
+    SEEN_SIDE_SHARE,
     SIDE_CORRELATION,
     SIDE_SHARE,
     SPREAD,
@@ -52,7 +53,7 @@ def test_ends_without_noise_are_found_exactly(
     last, first = math.floor(true[0]), math.ceil(true[1])
     if flipped:
         last, first = N_SCAN - 1 - last, N_SCAN - 1 - first
-    ends = stripe_ends(light, last, first)
+    ends = stripe_ends(light, last, first, 0.0)
     for found, line in zip(ends, true, strict=True):
         assert (N_SCAN - 1 - found.line if flipped else found.line) == pytest.approx(line, abs=0.01)
         assert MIN_SIGMA <= found.sigma < 0.15
@@ -68,7 +69,7 @@ def test_their_sigma_is_honest(contrast: float, correlation: float) -> None:
         light = light_of(
             rng, *ends, peak_e=600.0, contrast=contrast, correlation=correlation, side_share=side
         )
-        for found, line in zip(stripe_ends(light, EDGE - 1, EDGE + 5), ends, strict=True):
+        for found, line in zip(stripe_ends(light, EDGE - 1, EDGE + 5, 0.0), ends, strict=True):
             off.append(found.line - line)
             # The floor is for real edges.
             stated.append(math.sqrt(found.sigma**2 - MIN_SIGMA**2))
@@ -96,7 +97,7 @@ def test_ends_of_an_edge_that_crosses_the_stripe_skewed_are_found(skew: float, s
         # No centre is told in lines that the edge cuts.
         last, first = EDGE - 12, EDGE + 13
         light.position_px[last + 1 : first] = np.nan
-        for found, line in zip(stripe_ends(light, last, first), true, strict=True):
+        for found, line in zip(stripe_ends(light, last, first, 0.0), true, strict=True):
             off.append(found.line - line)
             sigma.append(found.sigma)
     print(f"rms {np.std(off):.3f} lines, mean {np.mean(off):.3f}, stated {np.median(sigma):.3f}")
@@ -111,7 +112,7 @@ def test_stripes_that_lie_near_each_other_and_scatter_tell_little() -> None:
     for _ in range(100):
         true = EDGE + rng.uniform(-0.5, 0.5)
         light = light_of(rng, true, true, apart_px=1.5, peak_e=30000.0, scatter_px=0.2)
-        for found in stripe_ends(light, EDGE, EDGE + 1):
+        for found in stripe_ends(light, EDGE, EDGE + 1, 0.0):
             if found.sigma < 1.0:
                 off.append(found.line - true)
                 stated.append(found.sigma)
@@ -122,8 +123,8 @@ def test_stripes_that_lie_near_each_other_and_scatter_tell_little() -> None:
 def test_a_stripe_that_is_not_seen_beyond_has_no_end() -> None:
     light = light_of(np.random.default_rng(1), EDGE, EDGE)
     light.position_px[EDGE + 1 :] = np.nan
-    assert np.isnan(stripe_ends(light, EDGE, EDGE + 1)).all()
-    assert np.isnan(stripe_ends(light, 1, N_SCAN - 2)).all()
+    assert np.isnan(stripe_ends(light, EDGE, EDGE + 1, 0.0)).all()
+    assert np.isnan(stripe_ends(light, 1, N_SCAN - 2, 0.0)).all()
 
 
 def test_saturated_pixels_do_not_count() -> None:
@@ -131,10 +132,10 @@ def test_saturated_pixels_do_not_count() -> None:
     light = light_of(rng, EDGE + 0.2, EDGE + 0.2, noise=False)
     light.charge_e[EDGE, 40:48] = 9e4
     light.censored[EDGE, 40:48] = True
-    for found in stripe_ends(light, EDGE, EDGE + 1):
+    for found in stripe_ends(light, EDGE, EDGE + 1, 0.0):
         assert found.line == pytest.approx(EDGE + 0.2, abs=0.02)
     light.censored[EDGE] = True
-    for found in stripe_ends(light, EDGE, EDGE + 1):
+    for found in stripe_ends(light, EDGE, EDGE + 1, 0.0):
         assert found.line == pytest.approx(EDGE + 0.2, abs=0.1)
 
 
@@ -261,10 +262,11 @@ def test_an_end_does_not_look_past_the_image() -> None:
     st.floats(0.3, 1.5),
     st.floats(0.03, 0.3),
     st.floats(0.0, 0.9),
+    st.sampled_from([0.0, 0.6, 3.0]),
     st.integers(0, 2**32 - 1),
 )
 def test_an_end_is_its_twin(
-    true: float, sigma: float, contrast: float, correlation: float, seed: int
+    true: float, sigma: float, contrast: float, correlation: float, seen_lines: float, seed: int
 ) -> None:
     rng, lines = np.random.default_rng(seed), np.arange(9.0)
     variance = rng.uniform(1e-4, 1e-3, 9)
@@ -280,20 +282,22 @@ def test_an_end_is_its_twin(
         together = correlation ** np.abs(lines[:, None] - lines) + min(
             (1 + correlation) / (1 - correlation) / BEYOND, 1.0
         )
-        side = SIDE_CORRELATION ** np.abs(lines[:, None] - lines) * np.outer(1.0 - mean, 1.0 - mean)
-        covariance = np.diag(own) + contrast**2 * together * np.outer(mean, mean) + SIDE_SHARE**2 * side
+        covered = ndtr((at + seen_lines - lines) / sigma) - mean
+        shine = np.hypot(SIDE_SHARE * (1.0 - mean), SEEN_SIDE_SHARE * covered)
+        side = SIDE_CORRELATION ** np.abs(lines[:, None] - lines) * np.outer(shine, shine)
+        covariance = np.diag(own) + contrast**2 * together * np.outer(mean, mean) + side
         off = share - mean
         return float(off @ np.linalg.solve(covariance, off)), float(np.linalg.slogdet(covariance)[1])
 
     for at in (true, true + 0.8):
-        fit = end_misfit(share, variance, contrast, correlation, sigma, at)
+        fit = end_misfit(share, variance, contrast, correlation, seen_lines, sigma, at)
         assert fit.misfit == pytest.approx(misfit(at), rel=1e-6)
     places = np.arange(1.0, 7.0, 0.01)
     misfits = np.array([misfit(at) for at in places])
     weights = np.exp(-0.5 * (misfits - misfits.min()))
     mean = weights @ places / weights.sum()
     deviation = math.sqrt(weights @ (places - mean) ** 2 / weights.sum())
-    end, end_sigma = fit_end(share, variance, contrast, correlation, sigma, 1.0, 7.0)
+    end, end_sigma = fit_end(share, variance, contrast, correlation, seen_lines, sigma, 1.0, 7.0)
     assert end == pytest.approx(mean, abs=0.5 * STEP)
     excess = max(parts(end)[0] / 7.0 - math.sqrt(2.0 / 7.0), 1.0)
     assert end_sigma == pytest.approx(math.hypot(math.sqrt(excess) * deviation, MIN_SIGMA), rel=0.2)
@@ -302,10 +306,20 @@ def test_an_end_is_its_twin(
 NO_CHANGE = EdgeScatter(0.0, 0.0)
 
 
+def test_a_side_that_the_camera_sees_leaves_an_edge_less_sure() -> None:
+    """It may mirror a stripe: more, the more of a line it covers."""
+    profile = profile_of(light_of(np.random.default_rng(5), EDGE + 0.3, EDGE + 1.6))
+    face = meet_face(profile.points, np.zeros(N_SCAN), np.zeros(N_SCAN))
+    seen_mm = np.array([0.0, 0.5, 1.0, 3.0]) * profile.column_mm
+    edges = [edge_amid(profile, EDGE, EDGE + 2, HiddenStrip(0.0, 0.0, mm), face) for mm in seen_mm]
+    variances = [edge.variance_mm2 for edge in edges]
+    assert variances[0] < variances[1] < variances[2] < variances[3] < 1.1 * variances[2]
+
+
 def edge_of(profile: Profile, before: int, behind: int, hidden_mm: float) -> Edge:
     """The edge between two points of a profile whose faces lie at z = 0."""
     n = len(profile.y_mm)
-    strip = HiddenStrip(hidden_mm, 0.0)
+    strip = HiddenStrip(hidden_mm, 0.0, 0.0)
     face = meet_face(profile.points, np.zeros(n), np.zeros(n))
     return edge_amid(profile, before, behind, strip, face)
 
@@ -342,7 +356,7 @@ def test_an_edge_seen_from_beside_does_not_scatter_with_its_neighbours_centres()
     assert seen.y_per_z == pytest.approx(1.5)
     # A face that is believed 0.1 mm higher than it is moves the edge by that much of 0.1 mm.
     face = meet_face(beside.points, np.full(N_SCAN, 0.1), np.zeros(N_SCAN))
-    higher = edge_amid(beside, EDGE, EDGE + 2, HiddenStrip(0.0, 0.0), face)
+    higher = edge_amid(beside, EDGE, EDGE + 2, HiddenStrip(0.0, 0.0, 0.0), face)
     assert higher.y_mm - seen.y_mm == pytest.approx(0.15)
     covariance = edge_covariance(seen, np.array([1.0]), np.array([1.0]), np.array([[0.04]]))
     assert covariance - np.diag([seen.variance_mm2, 0.0]) == pytest.approx(

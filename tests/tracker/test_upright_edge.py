@@ -45,7 +45,7 @@ def edge_of(profile: Profile, faces: Faces, limits_mm: Float64) -> Edge | None:
     before, behind = points_around_edge(points, faces, limits_mm)
     if before < 0:
         return None
-    light, strip = (NO_LIGHT if profile.light is None else profile.light), HiddenStrip(0.0, 0.0)
+    light, strip = (NO_LIGHT if profile.light is None else profile.light), HiddenStrip(0.0, 0.0, 0.0)
     edge: Edge = edge_between(points, faces, limits_mm, 1e-3, COLUMN_MM, light, before, behind, strip)
     return edge
 
@@ -94,7 +94,7 @@ def test_a_change_is_its_twin(seed: int) -> None:
     if before < 0:
         return
     limits_mm = np.where(near, 0.5, 0.0)
-    points, column_mm, strip = profile.points, profile.column_mm, HiddenStrip(0.1, 0.02)
+    points, column_mm, strip = profile.points, profile.column_mm, HiddenStrip(0.1, 0.02, 0.0)
     on_before = meet_face(points, faces.before_mm, faces.before_slope)
     on_behind = meet_face(points, faces.behind_mm, faces.behind_slope)
     found = change_of(

@@ -169,10 +169,14 @@ def edge_covariance(edge: Edge, height_between: Float64, height_there: Float64, 
 
 
 class HiddenStrip(NamedTuple):
-    """Width of the lower side that an edge hides next to its foot, mm, and its 1 sigma."""
+    """Width of the lower side that an edge hides next to its foot, mm, and its 1 sigma.
+
+    Over `seen_mm` of the lower side's width the camera sees the upright side before it.
+    """
 
     width_mm: float
     sigma_mm: float
+    seen_mm: float
 
 
 @kernel(allocates=True)
@@ -239,7 +243,7 @@ def upright_edge(
     last, first = int(scan[before]), int(scan[behind])
     if light.position_px.shape[0] == 0 or _is_hidden(light, last, first):
         return anywhere
-    ends, begins = stripe_ends(light, last, first)
+    ends, begins = stripe_ends(light, last, first, hidden.seen_mm / column_mm)
     low, high = max(before - N_AROUND, 0), min(behind + 1 + N_AROUND, scan.shape[0])
     places, variances, n = np.empty(2), np.empty(2), 0
     # What is less sure than the two points is no end.
@@ -253,7 +257,8 @@ def upright_edge(
         places[n], variances[n] = there_mm - hidden.width_mm, sigma_mm**2
         n += 1
     if n == 0:
-        return anywhere
+        # Points on what the upright side mirrors seem to lie on either side's face.
+        return Edge(middle_mm, variance_mm2 + hidden.seen_mm**2 / 12.0, y_per_z)
     information, edge_mm, of_both = 0.0, 0.0, 0.0
     for k in range(n):
         information += 1.0 / variances[k]
@@ -304,33 +309,35 @@ def hidden_strip(
 ) -> HiddenStrip:
     """Return the width of the lower side that an edge hides next to its foot from points (3,), mm.
 
-    The strip is what the point that hides more leaves dark. It ends below where the edge is (`edge_y_mm`,
-    x = 0) by how far the point stands aside, t = (y_edge - y) / (z - z_edge) step. A ray that comes from x
-    passes the edge x / (z - z_edge) step away from x = 0, where the edge lies aside by as much as the seam's
-    slope is unknown. A strip cannot be narrower than nothing: width and sigma are the mean and deviation of
-    max(0, t). From a point that is not above the edge all of it is hidden: infinity.
+    The camera comes first. The strip is what the point that hides more leaves dark. It ends below where the
+    edge is (`edge_y_mm`, x = 0) by how far the point stands aside, t = (y_edge - y) / (z - z_edge) step; the
+    camera sees the upright side over -t. A ray that comes from x passes the edge x / (z - z_edge) step away
+    from x = 0, where the edge lies aside by as much as the seam's slope is unknown. A strip cannot be
+    narrower than nothing: width and sigma are the mean and deviation of max(0, t). From a point that is not
+    above the edge all of it is hidden: infinity.
     """
-    widest = HiddenStrip(-math.inf, 0.0)
+    widest, sigma_mm, seen_mm = -math.inf, 0.0, math.nan
     for source in sources_mm:
         over_mm = source[2] - edge_z_mm
         if not over_mm > 0.0:
-            return HiddenStrip(math.inf, 0.0)
+            return HiddenStrip(math.inf, 0.0, 0.0)
         width_mm = (edge_y_mm - source[1]) / over_mm * step_mm
-        strip = _not_below_nothing(width_mm, slope_sigma * abs(source[0]) / over_mm * step_mm)
-        is_wider = strip.width_mm > widest.width_mm
-        if is_wider or (strip.width_mm == widest.width_mm and strip.sigma_mm > widest.sigma_mm):
-            widest = strip
-    return widest
+        if math.isnan(seen_mm):
+            seen_mm = max(-width_mm, 0.0)
+        strip, its_sigma_mm = _not_below_nothing(width_mm, slope_sigma * abs(source[0]) / over_mm * step_mm)
+        if strip > widest or (strip == widest and its_sigma_mm > sigma_mm):
+            widest, sigma_mm = strip, its_sigma_mm
+    return HiddenStrip(widest, sigma_mm, seen_mm)
 
 
 @kernel
-def _not_below_nothing(mean: float, sigma: float) -> HiddenStrip:
+def _not_below_nothing(mean: float, sigma: float) -> tuple[float, float]:
     """Return the mean and deviation of max(0, t) where t is normal, of a mean and 1 sigma."""
     if not sigma > 0.0:
-        return HiddenStrip(max(mean, 0.0), 0.0)
+        return max(mean, 0.0), 0.0
     t = mean / sigma
     above = 0.5 * math.erfc(-t / math.sqrt(2.0))
     density = math.exp(-0.5 * t * t) / math.sqrt(2.0 * math.pi)
     width = mean * above + sigma * density
     square = (mean * mean + sigma * sigma) * above + mean * sigma * density
-    return HiddenStrip(width, math.sqrt(max(square - width * width, 0.0)))
+    return width, math.sqrt(max(square - width * width, 0.0))

@@ -67,10 +67,11 @@ SPREAD = 0.1
 TINY_PX = 1e-6
 """Stripes that lie so near to each other are one."""
 
-SIDE_SHARE, SIDE_CORRELATION = 0.1, 0.9
+SIDE_SHARE, SEEN_SIDE_SHARE, SIDE_CORRELATION = 0.1, 0.3, 0.9
 """1 sigma of the share that the upright side between two stripes shines of them, and its correlation.
 
-Seen from beside, a side that the laser or light between the faces reaches has 0.05 to 0.2.
+Seen from beside, a side that the laser or light between the faces reaches has 0.05 to 0.2. In lines that it
+covers itself a smooth one shows up to a third of a stripe that it mirrors.
 """
 
 CENTRE_STEPS = 4
@@ -88,8 +89,11 @@ NO_END = StripeEnd(math.nan, math.nan)
 
 
 @kernel(allocates=True)
-def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, StripeEnd]:
-    """Return the end of the stripe that is whole in line `last`, and the start of that of line `first`."""
+def stripe_ends(light: StripeLight, last: int, first: int, seen_lines: float) -> tuple[StripeEnd, StripeEnd]:
+    """Return the end of the stripe that is whole in line `last`, and the start of that of line `first`.
+
+    Over `seen_lines` lines between them the camera sees the upright side.
+    """
     away, image, begin = 1 if first > last else -1, light, first
     aside = lines_aside(light.edge, light.position_px[first] - light.position_px[last])
     apart = max(apart_px(light, last, first), light.centre_sigma_px, TINY_PX)
@@ -125,8 +129,8 @@ def stripe_ends(light: StripeLight, last: int, first: int) -> tuple[StripeEnd, S
         return NO_END, NO_END
     # A line's centre says which stripe is the brighter there, so the end is a line off it at most.
     earliest, latest = clear - 2.0, n - clear + 1.0
-    ends = _fitted(light, shares[0], variances[0], earliest, latest)
-    begins = _fitted(light, of_other, other_variances, earliest, latest)
+    ends = _fitted(light, shares[0], variances[0], seen_lines, earliest, latest)
+    begins = _fitted(light, of_other, other_variances, seen_lines, earliest, latest)
     next_one = last - away * (clear - 1)
     ends_at, begins_at = next_one + away * ends.line, next_one + away * (n - 1 - begins.line)
     return (
@@ -162,7 +166,7 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread:
     if not is_seen:
         return NO_END
     # Beside a gap a line that holds little of the stripe shows its centre too.
-    ends = _fitted(light, shares[0], variances[0], 0.0, n - 1.0)
+    ends = _fitted(light, shares[0], variances[0], 0.0, 0.0, n - 1.0)
     ends_at = last - away * (clear - 1) + away * ends.line
     return StripeEnd(_at_centre(image, ends_at, last, last - away * clear, -away), ends.sigma)
 
@@ -204,7 +208,12 @@ def clear_lines(psf_sigma_px: float, sheet_lines: float) -> int:
 
 @kernel(allocates=True)
 def _fitted(
-    light: StripeLight, shares: Float64, variances: Float64, earliest: float, latest: float
+    light: StripeLight,
+    shares: Float64,
+    variances: Float64,
+    seen_lines: float,
+    earliest: float,
+    latest: float,
 ) -> StripeEnd:
     """Return the end of shares (n,) of a light's stripe, in lines from the first.
 
@@ -213,7 +222,9 @@ def _fitted(
     contrast = max(light.contrast, MIN_CONTRAST)
     sigma = max(math.hypot(light.psf_sigma_px, light.edge.stated / math.sqrt(2.0)), LINE_SIGMA)
     first, last = max(earliest - sigma, 0.0), latest + sigma
-    line, line_sigma = fit_end(shares, variances, contrast, light.correlation, sigma, first, last)
+    line, line_sigma = fit_end(
+        shares, variances, contrast, light.correlation, seen_lines, sigma=sigma, earliest=first, latest=last
+    )
     return StripeEnd(line, line_sigma)
 
 
@@ -227,20 +238,27 @@ class EndMisfit(NamedTuple):
 
 @kernel
 def end_misfit(
-    share: Float64, variance: Float64, contrast: float, correlation: float, sigma: float, end: float
+    share: Float64,
+    variance: Float64,
+    contrast: float,
+    correlation: float,
+    seen_lines: float,
+    sigma: float,
+    end: float,
 ) -> EndMisfit:
     """Return how unlike shares (n,) are those of a stripe that ends at a place.
 
-    With the shares' means m a line holds m (1 + a + n) + (1 - m) g and its own error, of variance V. All
-    lines share a: whole lines are known as well as the mean of BEYOND of them is. n scatters by the contrast,
-    with a `correlation` from line to line. g is the upright side's share. V goes with the place, so ln V
-    counts.
+    With the shares' means m a line holds m (1 + a + n) + h g and its own error, of variance V. All lines
+    share a: whole lines are known as well as the mean of BEYOND of them is. n scatters by the contrast, with
+    a `correlation` from line to line. g, of variance 1, is what the upright side shines, h its 1 sigma:
+    SIDE_SHARE of 1 - m and, where the side covers the line, SEEN_SIDE_SHARE of that. V goes with the place,
+    so ln V counts.
     """
-    scatter, side_2 = contrast * contrast, SIDE_SHARE * SIDE_SHARE
+    scatter = contrast * contrast
     of_mean = scatter * min((1.0 + correlation) / (1.0 - correlation) / BEYOND, 1.0)
     spread_2 = MIN_STRIPE_SHARE**2 + SPREAD**2 * scatter
     whole, line, side = 0.0, 0.0, 0.0
-    P_ww, P_wl, P_ws, P_ll, P_ls, P_ss = of_mean, 0.0, 0.0, scatter, 0.0, side_2
+    P_ww, P_wl, P_ws, P_ll, P_ls, P_ss = of_mean, 0.0, 0.0, scatter, 0.0, 1.0
     chi2, determinant, lines = 0.0, 0.0, 0
     for i in range(share.shape[0]):
         if i > 0:
@@ -251,19 +269,19 @@ def end_misfit(
                 correlation * SIDE_CORRELATION * P_ls,
             )
             P_ll = correlation * correlation * P_ll + (1.0 - correlation * correlation) * scatter
-            P_ss = (
-                SIDE_CORRELATION * SIDE_CORRELATION * P_ss
-                + (1.0 - SIDE_CORRELATION * SIDE_CORRELATION) * side_2
-            )
+            P_ss = SIDE_CORRELATION * SIDE_CORRELATION * (P_ss - 1.0) + 1.0
         if math.isnan(share[i]):
             continue
         mean = 0.5 * math.erfc((i - end) / (sigma * math.sqrt(2.0)))
-        rest = 1.0 - mean
-        of_whole = mean * (P_ww + P_wl) + rest * P_ws
-        of_line = mean * (P_wl + P_ll) + rest * P_ls
-        of_side = mean * (P_ws + P_ls) + rest * P_ss
-        total = mean * (of_whole + of_line) + rest * of_side + variance[i] + spread_2
-        off = share[i] - mean * (1.0 + whole + line) - rest * side
+        shine = SIDE_SHARE * (1.0 - mean)
+        if seen_lines > 0.0:
+            covered = 0.5 * math.erfc((i - end - seen_lines) / (sigma * math.sqrt(2.0))) - mean
+            shine = math.hypot(shine, SEEN_SIDE_SHARE * covered)
+        of_whole = mean * (P_ww + P_wl) + shine * P_ws
+        of_line = mean * (P_wl + P_ll) + shine * P_ls
+        of_side = mean * (P_ws + P_ls) + shine * P_ss
+        total = mean * (of_whole + of_line) + shine * of_side + variance[i] + spread_2
+        off = share[i] - mean * (1.0 + whole + line) - shine * side
         chi2 += off * off / total
         determinant += math.log(total)
         lines += 1
@@ -285,6 +303,7 @@ def fit_end(
     variance: Float64,
     contrast: float,
     correlation: float,
+    seen_lines: float,
     sigma: float,
     earliest: float,
     latest: float,
@@ -300,7 +319,7 @@ def fit_end(
     misfits = np.empty(n_places)
     for k in range(n_places):
         place = earliest + (k - 1) * SEARCH_STEP
-        fit = end_misfit(share, variance, contrast, correlation, sigma, place)
+        fit = end_misfit(share, variance, contrast, correlation, seen_lines, sigma, place)
         misfits[k] = fit.misfit
         if fit.lines >= MIN_LINES and fit.misfit < min_misfit:
             best, min_misfit = place, fit.misfit
@@ -314,7 +333,7 @@ def fit_end(
             before = min(int((best + off - earliest) / SEARCH_STEP) + 1, n_places - 2)
             if min(misfits[before], misfits[before + 1]) > min_misfit + MAX_EXCESS:
                 continue
-            fit = end_misfit(share, variance, contrast, correlation, sigma, best + off)
+            fit = end_misfit(share, variance, contrast, correlation, seen_lines, sigma, best + off)
             weight = math.exp(-0.5 * (fit.misfit - min_misfit))
             total += weight
             first += weight * off
@@ -323,7 +342,7 @@ def fit_end(
     posterior = max(second / total - mean * mean, 0.0)
     if posterior > MAX_VARIANCE_SHARE * (latest - earliest) ** 2 / 12.0:
         return math.nan, math.nan
-    fit = end_misfit(share, variance, contrast, correlation, sigma, best + mean)
+    fit = end_misfit(share, variance, contrast, correlation, seen_lines, sigma, best + mean)
     freedom = fit.lines - 2.0
     # Only what chi2 shows beyond its own scatter widens the sigma.
     excess = max(fit.chi2 / freedom - math.sqrt(2.0 / freedom), 1.0)
