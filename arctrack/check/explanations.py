@@ -169,17 +169,23 @@ def _explained(case: CheckCase, width: StripeWidth) -> Iterator[WeighedCause]:
         for cause in _causes(lens, (LENS,))[1]:
             what, cure, mended = stale_part(lens, cause, case.setup)
             yield WeighedCause(what, cure, mended, LN_PRIOR_LENS + ln_width + cause.ln_evidence)
-    for mistake, mended in _shown_joints(case):
+    nats = {cause.name: cause.ln_evidence for cause in causes}
+    is_doubtful = nats.get(AS_STATED, -math.inf) < max(nats.values(), default=0.0) - OFF_NATS
+    for mistake, mended in _shown_joints(case, is_doubtful):
         for cause in _causes(mended, (DIMENSIONS,))[1]:
             fitted = mended.with_setup(with_changes(mended.setup, cause.values))
             ln_posterior = LN_PRIOR_MISTAKE + ln_width + cause.ln_evidence
             yield WeighedCause(mistake.what, mistake.cure, fitted, ln_posterior)
 
 
-def _shown_joints(case: CheckCase) -> Iterator[tuple[Mistake, CheckCase]]:
-    """Yield the other types of joints that most of the lines look like which do not look like a plate."""
+def _shown_joints(case: CheckCase, is_doubtful: bool) -> Iterator[tuple[Mistake, CheckCase]]:
+    """Yield the other types of joints that most of the lines look like which do not look like a plate.
+
+    Of the stated one's own family only if it is doubtful: those whose dimensions fit as well are many.
+    """
     families = Counter(line.family for line in case.section_match.lines) if case.fits_camera else Counter()
-    for nothing in (None, JointFamily.FLAT, family_of(case.setup.joint)):
+    own = None if is_doubtful else family_of(case.setup.joint)
+    for nothing in (None, JointFamily.FLAT, own):
         families.pop(nothing, None)
     if not families:
         return

@@ -14,14 +14,15 @@ from mistaken import MISTAKES, edit_frames, edit_setup, edit_table, scale
 from typer.testing import CliRunner
 
 from arctrack.check.check_sample import CheckCase, case_of, chosen_rows
-from arctrack.check.explanations import WeighedCause, harmless
+from arctrack.check.explanations import WeighedCause, explanations, harmless, likely_causes
 from arctrack.check.hint import hint_of, likely_mistake
 from arctrack.check.named_keys import named_keys
 from arctrack.cli import app
 from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 from arctrack.errors import ArctrackError
+from arctrack.nominal import DIMENSIONS, nominal_setup
 from arctrack.recording.reader import read_recording
-from arctrack.simulation.simulate import SimulationPlan, simulate_recording
+from arctrack.simulation.simulate import SimulationPlan, balance, simulate_recording
 from noise_model.setup import Setup
 
 LITTLE_SPECKLE = {"laser_speckle": {"contrast": 0.01, "grain_px": 0.5}}
@@ -285,6 +286,20 @@ def test_a_cure_that_loses_the_frames_is_no_cause() -> None:
     assert unread.case is not None
     assert harmless(read.case, [lost, kept, read]) == [kept, read]
     assert harmless(unread.case, [lost, kept, unread]) == [lost, kept, unread]
+
+
+@pytest.mark.slow
+def test_a_lap_that_is_stated_as_a_corrugation_may_be_a_lap(tmp_path: Path) -> None:
+    """Both are one sheet upon another: a corrugation fits few lines of a lap as well as the lap does."""
+    setup = balance(nominal_setup("lap", "mild_steel", width=160, height=120))
+    setup = replace(setup, arc=replace(setup.arc, radiance_e=0.3 * setup.arc.radiance_e))
+    plan = SimulationPlan(frames=16, rate_hz=5.0, tilt_deg=5.0, height_mm=(0.1, 6.0))
+    sound = case_from(simulate_recording(tmp_path / "lap", setup, plan))
+    joint = replace(setup.joint, type="corrugation", dimensions=DIMENSIONS["corrugation"])
+    ranked = explanations(sound.with_setup(replace(sound.setup, joint=joint)))
+    likely = [cause.what for cause in likely_causes(ranked)]
+    assert "[joint] type = 'corrugation': the stripe shows a lap" in likely
+    assert likely_causes(explanations(sound)) == []
 
 
 def test_the_keys_that_a_line_names_are_explained() -> None:
