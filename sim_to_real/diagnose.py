@@ -39,6 +39,7 @@ from sim_to_real.fit.covariates import covariates
 from sim_to_real.fit.gauss_newton import Refit, converge, refit, refit_at
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.metal_of_stripe import metal_of_stripe
+from sim_to_real.fit.trend import trend_among
 from sim_to_real.variance.random_effects import RandomEffects, random_effects
 from tracker.state import Frame
 
@@ -121,7 +122,7 @@ def _diagnose(
     while assessed.is_refuted:
         weighed = weighed.without(assessed.judgement.leader)
         assessed = held_out_frames.assess(judge(weighed.posterior, policy))
-    judgement, after, random, predicted, gap = assessed
+    judgement, after, random, predicted, gap, _ = assessed
     verdict = _with_random_effects(
         judgement.verdict, random, random_effects(model, before, ()) if without else random, without
     )
@@ -160,18 +161,22 @@ def _diagnose(
 
 
 class Assessment(NamedTuple):
-    """Judgement on frames held out: its fit, random effects, predictions, the gap."""
+    """Judgement on frames held out: its fit, random effects, predictions, the gap.
+
+    `idle` are the effects that explain nothing there which the others do not explain.
+    """
 
     judgement: Judgement
     after: Refit
     random: RandomEffects
     predicted: HeldOutPrediction
     gap: Gap
+    idle: tuple[str, ...]
 
     @property
     def is_refuted(self) -> bool:
-        """True if effects explain nothing of the frames held out."""
-        return bool(self.after.ids) and self.gap.explains_nothing
+        """True if an effect explains nothing of the frames held out."""
+        return bool(self.idle)
 
 
 class HeldOut(NamedTuple):
@@ -199,7 +204,26 @@ class HeldOut(NamedTuple):
             lambda done: self.tell("predicting the frames held out", 0.75 + 0.15 * done),
         )
         seam_mm = seam_errors_mm(self.setup, self.frames, self.pose_at, self.model, after)
-        return Assessment(judgement, after, random, predicted, measure_gap(predicted, self.setup, seam_mm))
+        gap = measure_gap(predicted, self.setup, seam_mm)
+        idle = after.ids if gap.explains_nothing else self.idle(after, random)
+        return Assessment(judgement, after, random, predicted, gap, idle)
+
+    def idle(self, after: Refit, random: RandomEffects) -> tuple[str, ...]:
+        """Return the effects of several without which these frames are predicted as well."""
+        if len(after.ids) < 2:
+            return ()
+        return tuple(name for name in after.ids if self.gap_without(name, after, random).explains_nothing)
+
+    def gap_without(self, name: str, after: Refit, random: RandomEffects) -> Gap:
+        """Return the gap with all of a fit's effects but one, fitted anew from its result, and with all."""
+        effects = {other: values for other, values in after.effects.items() if other != name}
+        trend = trend_among(after.trend, effects)
+        there = self.model.anchored_at(after.nuisance, effects, trend)
+        fewer = refit(there, effects, after.nuisance, trend=trend)
+        predicted = predict_holdout(
+            self.observed, self.model, (fewer, random.effects), (after, random.effects), lambda done: None
+        )
+        return measure_gap(predicted, self.setup, (math.nan, math.nan))
 
 
 def _training_frames(observed: ObservedRecording, holdout: Bool) -> ObservedRecording:

@@ -11,7 +11,8 @@ from arctrack.simulation.simulate import SimulationPlan
 from noise_model.arc_source import NO_ARC
 from noise_model.effects.effect import Stage
 from noise_model.surface.brdf import UNSTATED_METAL
-from sim_to_real.diagnose import Assessment, diagnose, reasons, weaken_by_held_out
+from sim_to_real import diagnose as diagnosing
+from sim_to_real.diagnose import HeldOut, diagnose, reasons, weaken_by_held_out
 from sim_to_real.diagnosis import DiagnosisVerdict, Gap, excluded_effects
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.policy import POLICY
@@ -172,20 +173,36 @@ def test_no_reason_has_more_evidence_than_the_best_of_all():
 
 
 @pytest.mark.parametrize(
-    ("ids", "p_nearer", "is_refuted"),
+    ("ids", "p_nearer", "idle"),
     [
-        (("gamma",), 0.0, True),
-        (("gamma",), 0.6, True),
-        (("gamma",), 1.0, False),
+        (("gamma",), 0.0, ("gamma",)),
+        (("gamma",), 0.6, ("gamma",)),
+        (("gamma",), 1.0, ()),
         # No pixel counts.
-        (("gamma",), np.nan, False),
+        (("gamma",), np.nan, ()),
         # Nothing was to explain it.
-        ((), 0.0, False),
+        ((), 0.0, ()),
+        # One of two explains nothing that the other does not.
+        (("gamma", "fume"), 1.0, ("fume",)),
+        (("gamma", "blooming"), 1.0, ()),
     ],
 )
-def test_effects_that_explain_nothing_of_frames_held_out_are_refuted(ids, p_nearer, is_refuted):
+def test_effects_that_explain_nothing_of_frames_held_out_are_refuted(monkeypatch, ids, p_nearer, idle):
+    """Each is held against all others: the gap below the floor is that of a quiet recording."""
     gap = Gap(0.1334, 0.1332, 0.2, np.nan, (np.nan, np.nan), (1.0, 1.0), (0.1, 0.1), p_nearer)
-    assert Assessment(None, SimpleNamespace(ids=ids), None, None, gap).is_refuted is is_refuted
+    for name in ("refit_at", "random_effects", "predict_holdout", "seam_errors_mm"):
+        monkeypatch.setattr(diagnosing, name, lambda *_: SimpleNamespace(ids=ids, effects={}))
+    monkeypatch.setattr(diagnosing, "measure_gap", lambda *_: gap)
+    monkeypatch.setattr(
+        HeldOut,
+        "gap_without",
+        lambda self, name, *_: replace(gap, p_nearer=0.5 if name == "fume" else 1.0),
+    )
+    fitted = SimpleNamespace(ids=ids, effects={})
+    held_out = HeldOut(None, (), None, None, None, fitted, (), lambda *_: None)
+    assessed = held_out.assess(SimpleNamespace(leader=SimpleNamespace(refit=fitted)))
+    assert assessed.idle == idle
+    assert assessed.is_refuted is bool(idle)
 
 
 @pytest.mark.parametrize(
