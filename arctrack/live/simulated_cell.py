@@ -239,7 +239,7 @@ class Program:
 
     TRACK comes ARMED_S after a tracker's first heartbeat, once DISARM is acknowledged. At a part's end, after
     `part_mm`, the tracker is disarmed; once that is acknowledged the next part is there, and all begins
-    again. A robot that `finds_first` stands without an arc until its first FIND is answered.
+    again. A robot that `finds_first` stands without an arc, and asks by FIND until a joint is found.
     """
 
     def __init__(self, node: RobotNode, scheduler: Scheduler, part_mm: float, finds_first: bool) -> None:
@@ -259,8 +259,11 @@ class Program:
     def _hear(self, received: Received, _frame: BusFrame) -> None:
         now_s = self._scheduler.now_s
         self._use.on_message(received, now_s)
-        if self._finds.push(received) is not None:
+        answer = self._finds.push(received)
+        if answer is not None and answer.is_found:
             self._is_found, self._robot.status = True, self._welds
+        elif answer is not None and self._robot.command.command is Command.FIND:
+            self._ask()
         if isinstance(received.message, TrackerHeartbeat):
             if now_s - self._beat_s > SILENT_S:
                 self._since_s = now_s
@@ -281,11 +284,16 @@ class Program:
             if self._is_found:
                 self._robot.command = replace(said, command=Command.TRACK)
             elif said.command is not Command.FIND:
-                number = (said.request_number + 1) % 256
-                self._robot.command = replace(said, command=Command.FIND, request_number=number)
+                self._ask()
         elif said.command is not Command.DISARM:
             self._is_disarmed, number = False, (said.request_number + 1) % 256
             self._robot.command = replace(said, command=Command.DISARM, request_number=number)
+
+    def _ask(self) -> None:
+        """Command FIND with a new number."""
+        said = self._robot.command
+        number = (said.request_number + 1) % 256
+        self._robot.command = replace(said, command=Command.FIND, request_number=number)
 
 
 def run_robot(
