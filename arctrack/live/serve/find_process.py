@@ -48,9 +48,13 @@ class FindClient:
     """The loop's end of the process: a `JointFinder` that never waits."""
 
     def __init__(self, end: PipeEnd, ring: RingWriter) -> None:
-        self._pipe, self._ring = PipeClient(end), ring
+        self._end, self._pipe, self._ring = end, PipeClient(end), ring
         self._ticket = 0
         self._shown: list[tuple[int, Float64]] = []
+
+    def let_warm_up(self) -> None:
+        """Let the process load what is compiled by now."""
+        self._end.send(None)
 
     def begin(self) -> None:
         """Forget all frames."""
@@ -72,21 +76,26 @@ class FindClient:
         return None
 
 
-def find_joints(run: str, setups: Mapping[int, Setup], parent: Connection, asked: PipeEnd) -> None:
+def find_joints(
+    run: str, setups: Mapping[int, Setup], waits: bool, parent: Connection, asked: PipeEnd
+) -> None:
     """Report readiness, and answer each question with the joint, until the parent is gone.
 
-    `setups` are by job number.
+    `setups` are by job number. A process that `waits` warms up once it is let: two need not compile the same.
     """
     finders = {number: Finder(SensorGeometry.of(setup)) for number, setup in setups.items()}
-    for finder in finders.values():
-        warm_up(finder.geometry, UNSTATED)
     # The parent may be gone before it is ready.
     try:
+        if waits and wait([parent, asked.fileno()]) != [asked.fileno()]:
+            return
+        for finder in finders.values():
+            warm_up(finder.geometry, UNSTATED)
         with RingReader(frames_name(run)) as ring:
             parent.send([])
             while wait([parent, asked.fileno()]) == [asked.fileno()]:
-                question: FindQuestion = asked.recv()
-                asked.send((question.ticket, _found(finders[question.job_number], question, ring)))
+                question: FindQuestion | None = asked.recv()
+                if question is not None:
+                    asked.send((question.ticket, _found(finders[question.job_number], question, ring)))
     except (EOFError, ConnectionResetError, BrokenPipeError):
         return
 

@@ -84,25 +84,29 @@ def opened_run(
         # Niceness of the estimate of the robot's lag: nobody waits for it.
         estimating = SupervisedProcess("lag", estimate_lags, (), (its_end,), 5, lost=NOTHING_YET)
         lag = opened.enter_context(supervisor.running(estimating))
-        finder, find_end = opened.enter_context(_finder(cell))
+        run_name = str(os.getpid())
+        finder, find_end = opened.enter_context(_finder(cell, run_name))
         parts = run_parts(cell, job_number, PipeClient(lag_end), finder)
         opened.callback(parts.camera.close)
         if isinstance(parts.camera, CapturedCamera):
             opened.enter_context(supervisor.running(parts.camera.process))
         trackers = {number: seam.tracking.tracker for number, seam in parts.seams.items()}
         setups = {number: tracker.geometry.setup for number, tracker in trackers.items()}
+        finding: SupervisedProcess | None = None
+        if parts.source is Source.LIVE:
+            arguments = (run_name, setups, True)
+            finding = SupervisedProcess("find", find_joints, arguments, (find_end,), 5, lost=LOST)
+            opened.enter_context(supervisor.running(finding))
         journal = opened.enter_context(open_journal(cell, setups, supervisor, is_simulated))
         for tracker in trackers.values():
             with compiled_by_two(tracker.geometry.setup):
                 tracker.warm_up()
-        awaited = [lag]
-        if parts.source is Source.LIVE:
-            # It loads what was compiled just now.
-            arguments = (str(os.getpid()), setups)
-            finding = SupervisedProcess("find", find_joints, arguments, (find_end,), 5, lost=LOST)
-            awaited.append(opened.enter_context(supervisor.running(finding)))
+        if finding is not None:
+            finder.let_warm_up()
+            # One that is started again has nobody to wait for.
+            finding.arguments = (run_name, setups, False)
         open_bus = opened.enter_context(_robot_port(cell, supervisor))
-        for process in awaited:
+        for process in (lag,) if finding is None else (lag, finding):
             process.wait_ready()
         opened.enter_context(supervisor.watching())
         # Once it is on the bus, a tracker must not wait for anything.
@@ -138,11 +142,11 @@ def opened_run(
 
 
 @contextmanager
-def _finder(cell: CellFile) -> Iterator[tuple[FindClient, PipeEnd]]:
+def _finder(cell: CellFile, run_name: str) -> Iterator[tuple[FindClient, PipeEnd]]:
     """Yield what answers a FIND, and the end of its pipe for the process that does."""
     end, its_end = message_pipe()
     try:
-        ring = frames_ring(str(os.getpid()), cell.setup.setup)
+        ring = frames_ring(run_name, cell.setup.setup)
     except RingError as error:
         raise in_file(cell.path, f"[camera] frames of a FIND: {error}") from None
     with ring:
