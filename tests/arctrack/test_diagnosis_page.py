@@ -186,7 +186,7 @@ def test_what_comes_nearest_is_said_though_it_is_not_named(seen_setup: Setup) ->
     assert shrinks.startswith("With gamma the gap in the images shrinks from 3.0 σ to 1.0 σ.")
     assert shrinks.endswith("That is too little for a cause.")
     nothing = words.how_far(farther)
-    assert nothing.startswith("The best single effect, gamma, closes only 22 % of it in bins.")
+    assert nothing.startswith("The best single effect, gamma, closes 22 % of it in bins.")
     assert words.how_far(replace(nearer, after_with=())) == nothing
 
 
@@ -201,7 +201,7 @@ def test_no_page_says_that_no_effect_helps_above_one_that_does(
         RankedEffect("fume", 0.0, -0.01),
     )
     some = page(replace(found, ranking=ranking, after_with=()), recording)
-    assert "The best single effect, pose_delay, closes only 7 % of it in bins." in some
+    assert "The best single effect, pose_delay, closes 7 % of it in bins." in some
     assert "<b>7 %</b><span>of the gap in bins closed by the best effect, pose_delay</span>" in some
     assert "No effect of the catalogue makes it smaller" not in some
     assert "0 % of the gap" not in some

@@ -190,7 +190,7 @@ def _best_alone(diagnosis: Diagnosis) -> str:
     if best is None:
         return "No effect of the catalogue makes it smaller."
     share = f"{percent(best.gap_closed)} of it {where_closed(best)}"
-    return f"The best single effect, {best.id}, closes only {share}."
+    return f"The best single effect, {best.id}, closes {share}."
 
 
 def added(diagnosis: Diagnosis) -> str:
