@@ -57,12 +57,16 @@ def _is_lit(y_mm: Float64, z_mm: Float64, profiler: Profiler) -> Bool:
 
 def draw_profile(setup: Setup, scene: Scene, rng: np.random.Generator) -> Integers:
     """Return a frame (2, columns) of a scene: heights with noise, dropouts and runs of false echoes."""
-    profiler = setup.profiler
-    assert profiler is not None
-    n, z_mm = profiler.columns, trace_heights(setup, scene)
+    assert setup.profiler is not None
+    return spoilt_profile(setup.profiler, trace_heights(setup, scene), rng)
+
+
+def spoilt_profile(profiler: Profiler, trace_mm: Float64, rng: np.random.Generator) -> Integers:
+    """Return a frame (2, columns) of a surface's heights (columns,), mm, with noise, dropouts and echoes."""
+    n = profiler.columns
     white = rng.standard_normal(n + CORRELATED_COLUMNS - 1)
     noise = np.convolve(white, np.full(CORRELATED_COLUMNS, CORRELATED_COLUMNS**-0.5), "valid")
-    z_mm += (profiler.sigma_mm or NOISE_MM) * noise
+    z_mm = trace_mm + (profiler.sigma_mm or NOISE_MM) * noise
     for share, is_echo in ((ECHO_SHARE, True), (DROPOUT_SHARE, False)):
         for start in rng.integers(0, n, rng.poisson(share * n / RUN_COLUMNS)):
             run = slice(start, start + 1 + rng.poisson(RUN_COLUMNS - 1))
