@@ -50,7 +50,7 @@ STEP_SIGMAS = 3.0
 MIN_CONTRAST = 0.02
 """Change of a stripe's brightness from line to line without speckle."""
 
-_NOWHERE = np.full(3, math.nan)
+_NOWHERE, _NO_POINTS = np.full(3, math.nan), np.empty((N_ROWS, 0))
 
 
 class Section(NamedTuple):
@@ -60,7 +60,8 @@ class Section(NamedTuple):
     in y. The seam is looked for within `reach_mm` of y = 0; nearer to a corner than `mixed_mm` a scan line
     holds light of both faces. `slope_sigma` is that of the seam's direction. `light` is what the stripe was
     read from, `NO_LIGHT` where it is not at hand; `camera_mm` and `laser_mm` (3,) are from where it was seen
-    and lit, joint frame, NaN where that is not known.
+    and lit, joint frame, NaN where that is not known. `off_trace` (N_ROWS, m) are a profile's points that its
+    trace leaves out, most of them false echoes; `n_columns` it has, 0 for an image.
     """
 
     points: Float64
@@ -71,6 +72,16 @@ class Section(NamedTuple):
     light: StripeLight = NO_LIGHT
     camera_mm: Float64 = _NOWHERE
     laser_mm: Float64 = _NOWHERE
+    off_trace: Float64 = _NO_POINTS
+    n_columns: int = 0
+
+    @property
+    def all_points(self) -> Float64:
+        """The points and those off the trace (N_ROWS, n + m), in order of y."""
+        if self.off_trace.shape[1] == 0:
+            return self.points
+        points = np.hstack([self.points, self.off_trace])
+        return np.take(points, np.argsort(points[Y_MM], kind="stable"), axis=1)
 
     @property
     def y_mm(self) -> Float64:

@@ -8,6 +8,7 @@ scatter. There is no light: edges lie where points say, and no second stripe is 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from tracker.arc.level import UNKNOWN, ArcLevel
 from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
 from tracker.joint.measured import section_at, shift_of
+from tracker.joint.plate_lines import SLACK_MM
 from tracker.observation import MIN_HELD_SHARE, WHOLE_SHARE, Aim, FrameInput, section_of
 from tracker.profile import MIN_POINTS, EdgeAlongSeam, Section, triangulate
 from tracker.state import (
@@ -47,10 +49,14 @@ REACH_MM, SHIFT_STEP_MM = 3.0, 0.2
 
 
 class ProfileReading(NamedTuple):
-    """Points of a profile as a stripe, its scan lines (N_ROWS, n), and the scatter up to this frame."""
+    """Points of a profile as a stripe, its scan lines (N_ROWS, n), and the scatter up to this frame.
+
+    `left_out` (N_ROWS, n) are the lines whose points are not on the trace.
+    """
 
     stripe: Stripe
     lines: Float64
+    left_out: Float64
     scatter: Scatter
 
 
@@ -74,12 +80,18 @@ def observe_profile(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> P
     edge = EdgeAlongSeam(geometry.seam_source.height_mm, aim.seam.slope_sigma, 1.0)
     seen_points = triangulate(geometry.stripe_source, aim.scene, reading.lines, edge)
     span_mm = geometry.seam_source.aside_mm
+    if geometry.setup.joint.type == "edge":
+        # Beyond its sheets there is nothing to see.
+        span_mm = float(np.abs(aim.scene.shape.vertices[1:-1, 0]).max())
     near = int((np.abs(seen_points.points[Y_MM]) < span_mm).sum())
     share = near * seen_points.column_mm / (2.0 * span_mm) if near > 1 else 0.0
     if not frame_checks.ask(checks.LINES_HELD, share, MIN_HELD_SHARE):
         return seen
     frame_checks.ask(checks.STRIPE_WHOLE, share, WHOLE_SHARE)
-    return seen._replace(section=section_of(geometry, aim, seen_points, NO_LIGHT))
+    section = section_of(geometry, aim, seen_points, NO_LIGHT)
+    left_out = triangulate(geometry.stripe_source, aim.scene, reading.left_out, edge)
+    off_trace = section_of(geometry, aim, left_out, NO_LIGHT).points
+    return seen._replace(section=section._replace(off_trace=off_trace, n_columns=reading.lines.shape[1]))
 
 
 def read_profile(given: FrameInput, aim: Aim) -> ProfileReading:
@@ -120,6 +132,13 @@ def read_profile(given: FrameInput, aim: Aim) -> ProfileReading:
     lines[CENTRE_PX], lines[OWN_PX], lines[SCAN], lines[N_LINES] = fits[:, 0], own, np.arange(n), 1.0
     lines[BIAS_PX], lines[MISFIT_PX] = 0.0, 0.0
     widen(after, own, ones, 0.0, lines[SIGMA_PX], lines[BESIDE_PX])
+    left_out = lines.copy()
+    left_out[CENTRE_PX] = math.nan
+    others = np.setdiff1d(near, kept)
+    left_out[CENTRE_PX, others] = centre_px[others]
+    if len(kept):
+        # All have one sigma.
+        left_out[SIGMA_PX], left_out[BESIDE_PX] = lines[SIGMA_PX, kept[0]], lines[BESIDE_PX, kept[0]]
     stripe = Stripe(
         position_px=lines[CENTRE_PX],
         sigma_px=lines[SIGMA_PX],
@@ -128,13 +147,14 @@ def read_profile(given: FrameInput, aim: Aim) -> ProfileReading:
         along_rows=given.geometry.along_rows,
         beside_px=lines[BESIDE_PX],
     )
-    return ProfileReading(stripe, lines, Scatter(FrameScatter.of(after), frames + 1))
+    return ProfileReading(stripe, lines, left_out, Scatter(FrameScatter.of(after), frames + 1))
 
 
 def off_expected_px(geometry: SensorGeometry, aim: Aim, centre_px: Float64) -> Float64:
     """Return the distances (n,) of a profile's centres from the stated section's, px; NaN where none is.
 
-    The section is displaced within the look's reach to where most points are near it.
+    The section is displaced within the look's reach to where most points are near it. That does not place an
+    upright edge: near one a point may be of either face.
     """
     n = len(centre_px)
     lines = np.zeros((N_ROWS, n))
@@ -145,11 +165,25 @@ def off_expected_px(geometry: SensorGeometry, aim: Aim, centre_px: Float64) -> F
         return off_px
     y_mm, z_mm = points[Y_MM], points[Z_MM]
     aside_mm, up_mm = shift_of(y_mm, z_mm, aim.reach_mm + REACH_MM, corners, 0.0, SHIFT_STEP_MM, REACH_MM)
-    height_mm, _ = section_at(corners, y_mm - aside_mm)
+    off_mm = section_at(corners, y_mm - aside_mm)[0] + up_mm - z_mm
+    for face_mm in faces_of_edges(corners, y_mm - aside_mm):
+        other_mm = face_mm + up_mm - z_mm
+        off_mm = np.where(np.abs(other_mm) < np.abs(off_mm), other_mm, off_mm)
     assert geometry.setup.profiler is not None
-    off_mm = height_mm + up_mm - z_mm
     off_px[points[SCAN].astype(np.int64)] = off_mm / geometry.setup.profiler.pitch_mm
     return off_px
+
+
+def faces_of_edges(corners_mm: Float64, y_mm: Float64) -> Iterator[Float64]:
+    """Yield the heights (n,), mm, of both faces at each upright edge, carried on; NaN farther off it.
+
+    `corners_mm` (k, 2) are a section's, y (n,) places in it.
+    """
+    for k in np.flatnonzero(np.diff(corners_mm[:, 0]) == 0.0):
+        for corner, next_one in ((corners_mm[k], corners_mm[k - 1]), (corners_mm[k + 1], corners_mm[k + 2])):
+            slope = (next_one[1] - corner[1]) / (next_one[0] - corner[0])
+            away_mm = y_mm - corner[0]
+            yield np.where(np.abs(away_mm) < SLACK_MM, corner[1] + slope * away_mm, math.nan)
 
 
 def own_sigma_px(codes: Integers, stated_px: float, step_px: float) -> float:

@@ -40,24 +40,27 @@ def flat_faces(n: int, step_mm: float) -> Faces:
     return Faces(np.full(n, step_mm), np.zeros(n), np.zeros(n), np.zeros(n))
 
 
-def edge_of(profile: Profile, faces: Faces, limits_mm: Float64) -> Edge | None:
+def edge_of(profile: Profile, faces: Faces, limits_mm: Float64, is_profile: bool) -> Edge | None:
     points = profile.points
     before, behind = points_around_edge(points, faces, limits_mm)
     if before < 0:
         return None
     light, strip = (NO_LIGHT if profile.light is None else profile.light), HiddenStrip(0.0, 0.0, 0.0)
-    edge: Edge = edge_between(points, faces, limits_mm, 1e-3, COLUMN_MM, light, before, behind, strip)
+    edge: Edge = edge_between(
+        points, faces, limits_mm, 1e-3, COLUMN_MM, light, before, behind, strip, is_profile
+    )
     return edge
 
 
+@pytest.mark.parametrize("is_profile", [False, True])
 @pytest.mark.parametrize(("step_sigmas", "as_if_sure"), [(1.5, 3.0), (2.5, 1.8), (4.0, 0.8), (50.0, 0.8)])
-def test_an_edge_is_as_unsure_as_its_points(step_sigmas: float, as_if_sure: float) -> None:
+def test_an_edge_is_as_unsure_as_its_points(step_sigmas: float, as_if_sure: float, is_profile: bool) -> None:
     rng, step_mm, pulls, scaled = np.random.default_rng(3), 1.0, [], []
     for _ in range(400):
         edge_mm = float(rng.uniform(-0.9 * NEAR_MM, 0.9 * NEAR_MM))
         profile = sheets(rng, edge_mm, step_mm, step_mm / step_sigmas)
         limits_mm = np.where(np.abs(profile.y_mm) < NEAR_MM, 0.5 * step_mm, 0.0)
-        edge = edge_of(profile, flat_faces(len(limits_mm), step_mm), limits_mm)
+        edge = edge_of(profile, flat_faces(len(limits_mm), step_mm), limits_mm, is_profile)
         if edge is not None:
             pulls.append((edge.y_mm - edge_mm) / np.sqrt(edge.variance_mm2))
             scaled.append((edge.y_mm - edge_mm) * np.sqrt(12.0) / COLUMN_MM)
@@ -112,7 +115,7 @@ def test_a_change_is_its_twin(seed: int) -> None:
     twin = FacesBeside(heights_mm, slopes)
     change, met = twin.change(profile, near, 0.02, before, behind), twin.met(profile, before)
     np.testing.assert_allclose(found, change, rtol=1e-4, atol=1e-9)
-    edge = edge_between(points, faces, limits_mm, 0.02, column_mm, light, before, behind, strip)
+    edge = edge_between(points, faces, limits_mm, 0.02, column_mm, light, before, behind, strip, False)
     expected = upright_edge(profile.scan, column_mm, light, before, behind, strip, met, change)
     np.testing.assert_allclose(edge, expected, rtol=1e-4, atol=1e-9)
 

@@ -146,6 +146,7 @@ def upright_side(
         before=before,
         behind=behind,
         hidden=hidden,
+        is_profile=section.n_columns > 0,
     )
     # What lies between may be either side's, and the first lines in the groove hold light of the plate too.
     for i in range(n):

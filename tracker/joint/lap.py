@@ -50,6 +50,12 @@ NEAR_MM, ON_SHEET, MIN_OFF_SHEET = 2.0, 0.25, 0.03
 """Points so near to the edge, or to the strip that it hides, are asked which sheet they lie on: off it by
 their noise, but by no more than this share of the step; and by this share at least, for no sheet is flat."""
 
+WIDEST_MM, WIDEST_IN_PROFILE_MM = 2.0 * CLEAR_OF_EDGE_MM, 4.0 * CLEAR_OF_EDGE_MM
+"""An edge is lost where the points leave more open than this, and nothing narrows it to that 1 sigma.
+
+A profile may lack as much beside any high edge: the second is a 1 sigma of 0.46 mm.
+"""
+
 MAX_SIGMAS = 3.0
 """A line this many times less sure than others fits no bell: its pixels tell more (`upright_edge`)."""
 
@@ -83,7 +89,7 @@ def measured_lap(section: Section, fit: ShapeFit, y_0: float, thickness_mm: floa
 
     `y_0` is where the edge was while they were fitted.
     """
-    p, covariance, lines = fit.parameters, fit.covariance, in_scan_order(section.points)
+    p, covariance, lines = fit.parameters, fit.covariance, in_scan_order(section.all_points)
     z_s, step, slope_lower, slope_upper = p.tolist()
     sheets = SheetLines(y_0, z_s, step, slope_lower, slope_upper)
     upright = edge_of_sheets(section, lines, sheets, thickness_mm)
@@ -135,10 +141,13 @@ def edge_of_sheets(section: Section, points: Float64, sheets: SheetLines, thickn
     sources_mm = section.camera_mm, section.laser_mm
     hidden = hidden_strip(sources_mm, sheets.y, sheets.z + sheets.step, sheets.step, section.slope_sigma)
     bent_mm, limits_mm = MIN_OFF_SHEET * thickness_mm, np.empty(n)
+    # How often a profile's columns miss a sheet tells where it ends: all of it says that.
+    is_profile = section.n_columns > 0
+    near_mm, widest_mm = (math.inf, WIDEST_IN_PROFILE_MM) if is_profile else (NEAR_MM, WIDEST_MM)
     for i in range(n):
         off_mm = min(OFF_SIGMAS * abs(lines[DZ_MM, i]) * lines[SIGMA_PX, i], ON_SHEET * thickness_mm)
         # The edge that the sheets were fitted with may lie anywhere in the hidden strip.
-        is_near = abs(lines[Y_MM, i] - sheets.y) < NEAR_MM + hidden.width_mm
+        is_near = abs(lines[Y_MM, i] - sheets.y) < near_mm + hidden.width_mm
         limits_mm[i] = max(bent_mm, off_mm) if is_near else 0.0
     faces = sheets_at(lines[Y_MM], sheets)
     before, behind = points_around_edge(lines, faces, limits_mm)
@@ -154,14 +163,18 @@ def edge_of_sheets(section: Section, points: Float64, sheets: SheetLines, thickn
         before=before,
         behind=behind,
         hidden=hidden,
+        is_profile=is_profile,
     )
     # Glare or spatter over all of the points near it: between those beyond an edge may be anywhere, if the
     # scan lines themselves do not tell, or show a surface that is neither sheet's.
     between_mm = lines[Y_MM, behind] - hidden.width_mm - lines[Y_MM, before]
-    widest_mm, n_lines = 2.0 * CLEAR_OF_EDGE_MM, abs(lines[SCAN, behind] - lines[SCAN, before]) - 1.0
-    if behind - before - 1 > 0.5 * n_lines:
+    n_lines = abs(lines[SCAN, behind] - lines[SCAN, before]) - 1.0
+    if not is_profile and behind - before - 1 > 0.5 * n_lines:
         edge = Edge(edge.y_mm, edge.variance_mm2 + between_mm**2 / 12.0, edge.y_per_z)
     is_lost = between_mm > widest_mm and 12.0 * edge.variance_mm2 > widest_mm**2
+    # A sheet that shows less than what is open beside it is no more than a run of false echoes.
+    shown_mm = min(before + 1, n - behind) * section.column_mm
+    is_lost |= is_profile and between_mm > max(shown_mm, WIDEST_MM)
     return nowhere if is_lost else edge
 
 

@@ -12,8 +12,9 @@ from noise_model.compiled.kernel import kernel
 from noise_model.compiled.median import exact_median
 from noise_model.compiled.ordering import stable_order
 from noise_model.robust import MAD_SIGMA
-from tracker.joint.evidence import gap_evidence_nats
-from tracker.joint.measured import OnFace
+from tracker.joint.evidence import RUN_PRIOR, gap_evidence_nats
+from tracker.joint.face_change import ENDS, GOES_ON, Columns, change_of_faces, ln_chain, transition
+from tracker.joint.measured import OFF_SIGMAS, OnFace
 from tracker.profile import Section
 from tracker.state import N_LINES, SCAN
 from tracker.stripe.edge import MIN_CONTRAST, clear_of_an_edge, stripe_end
@@ -328,14 +329,18 @@ def others_between(lines: PlateLines, first: int, last: int) -> int:
     return others
 
 
-@kernel
+@kernel(allocates=True)
 def end_between(
     lines: PlateLines, light: StripeLight, low_mm: float, high_mm: float, plate_first: bool
 ) -> PlateEnd:
     """Return the end of a plate between two places: where most lines agree.
 
-    Lines that a blurred end leaves unread before what is seen beyond may be the plate's as well.
+    Lines that a blurred end leaves unread before what is seen beyond may be the plate's as well. Without
+    light columns alone tell.
     """
+    if light.position_px.shape[0] == 0:
+        by_columns: PlateEnd = end_by_columns(lines, low_mm, high_mm, plate_first)
+        return by_columns
     n, first = lines.y_mm.shape[0], 0
     while first < n and lines.y_mm[first] < low_mm:
         first += 1
@@ -349,7 +354,7 @@ def end_between(
             latest = last
     before, behind = max(earliest - 1, 0), min(latest, n - 1)
     plate = before if plate_first else behind
-    max_unread = 0 if light.position_px.shape[0] == 0 else clear_of_an_edge(light)
+    max_unread = clear_of_an_edge(light)
     unread = unread_from(lines, behind, 1) if plate_first else unread_from(lines, before, -1)
     if unread < max_unread:
         behind += unread if plate_first else 0
@@ -357,6 +362,33 @@ def end_between(
     low, high = lines.y_mm[max(before, 0)], lines.y_mm[min(behind, n - 1)]
     spread = max(high - low, lines.column_mm)
     return PlateEnd(0.5 * (low + high), spread**2 / 12.0, plate)
+
+
+@kernel(allocates=True)
+def end_by_columns(lines: PlateLines, low_mm: float, high_mm: float, plate_first: bool) -> PlateEnd:
+    """Return the end of a plate between two places by which columns show it, or another surface."""
+    n, first = lines.y_mm.shape[0], 0
+    while first < n - 2 and lines.y_mm[first] < low_mm:
+        first += 1
+    end = first + 2
+    while end < n and lines.y_mm[end] < high_mm:
+        end += 1
+    m, start, step = end - first, first if plate_first else end - 1, 1 if plate_first else -1
+    seen, off_plate, on_plate, into_mm = np.empty(m, np.bool_), np.zeros(m), np.zeros(m), np.empty(m)
+    # From the plate into the gap: what is missed there is no run that began on the plate.
+    for k in range(m):
+        sees = lines.sees[start + step * k]
+        seen[k], into_mm[k] = abs(sees) == 1.0, step * lines.y_mm[start + step * k]
+        if sees < 0.0:
+            off_plate[k] = OFF_SIGMAS * OFF_SIGMAS
+        else:
+            on_plate[k] = OFF_SIGMAS * OFF_SIGMAS
+    columns = Columns(seen, into_mm, into_mm, off_plate, on_plate, lines.column_mm)
+    change = change_of_faces(columns, 0.0, 0.0)
+    line = 0
+    while line < m - 1 and into_mm[line + 1] <= change.y_mm:
+        line += 1
+    return PlateEnd(step * change.y_mm, change.variance_mm2, start + step * line)
 
 
 @kernel
@@ -404,8 +436,22 @@ def blurred_lines(light: StripeLight) -> int:
 
 
 @kernel(allocates=True)
-def evidence_of_gap(lines: PlateLines, first: int, last: int, places: float) -> float:
+def evidence_of_gap(lines: PlateLines, light: StripeLight, first: int, last: int, places: float) -> float:
     """Return the evidence, nats, that lines from `first` to `last` are a gap's and not lost by chance.
+
+    Without light a gap also shows by what lies in it: a face in the place of a plate is rarer than none. Of
+    both the stronger counts.
+    """
+    by_lost: float = evidence_of_lost(lines, -UNREAD, first, last, places)
+    if light.position_px.shape[0] > 0:
+        return by_lost
+    by_others: float = evidence_of_lost(lines, 1.0, first, last, places)
+    return max(by_lost, by_others) - math.log(2.0)
+
+
+@kernel(allocates=True)
+def evidence_of_lost(lines: PlateLines, votes: float, first: int, last: int, places: float) -> float:
+    """Return `evidence_of_gap` of the lines that vote by so much against a plate.
 
     Beyond the last line that shows a plate nothing is lost: the stripe has ended, or leaves its reach.
     """
@@ -416,6 +462,43 @@ def evidence_of_gap(lines: PlateLines, first: int, last: int, places: float) -> 
         end -= 1
     is_lost = np.empty(end - start, np.bool_)
     for i in range(end - start):
-        is_lost[i] = lines.sees[start + i] < 0.0
+        is_lost[i] = -lines.sees[start + i] >= votes
     nats: float = gap_evidence_nats(is_lost, first - start, last - start, places)
     return nats
+
+
+@kernel(allocates=True)
+def evidence_of_sheets(
+    lines: PlateLines,
+    n_columns: int,
+    gap: tuple[int, int],
+    middle_mm: float,
+    outer_mm: float,
+    slack_mm: float,
+) -> float:
+    """Return the evidence, nats, that a profile shows two upright sheets and not a plate, at one place.
+
+    A plate would have gone on, as it does where the sheets are: between them, in the lines from the first to
+    the last of the gap, and beyond their outer ends, that lie `outer_mm` off the middle, to so much slack.
+    What is the plate's there against all odds is an echo.
+    """
+    n, nats = lines.sees.shape[0], 0.0
+    seen = lines.sees > 0.0
+    of_sheets, of_all = np.zeros(4), np.zeros(4)
+    for counts in (of_sheets, of_all):
+        counts[GOES_ON], counts[ENDS] = RUN_PRIOR
+    last = -1
+    for i in range(n):
+        scan, off_mm = lines.away * (lines.first_scan + i), abs(lines.y_mm[i] - middle_mm)
+        is_gap = gap[0] <= i <= gap[1]
+        is_sheet = not is_gap and off_mm < outer_mm - slack_mm
+        is_outside = outer_mm + slack_mm < off_mm < outer_mm + slack_mm + OUTSIDE_MM
+        is_asked = (is_gap or is_sheet or is_outside) and 0 <= scan < n_columns
+        if is_asked and (is_gap or is_outside) and seen[i]:
+            nats -= 0.5 * OFF_SIGMAS * OFF_SIGMAS
+        # Over the slack at an outer end nothing is asked.
+        if is_asked and last >= 0:
+            of_all[transition(seen[last], seen[i])] += 1
+            of_sheets[transition(seen[last], seen[i])] += is_sheet
+        last = i if is_asked else last
+    return nats + ln_chain(of_sheets) - ln_chain(of_all)

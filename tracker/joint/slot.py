@@ -39,6 +39,7 @@ from tracker.joint.plate_lines import (
     end_between,
     end_by_shares,
     evidence_of_gap,
+    evidence_of_sheets,
     interpolated,
     others_between,
     plate_lines,
@@ -103,9 +104,16 @@ def find_gap(
         return fit, placed_mm, nothing, nats
     seen = plate_lines(section, on_plates(points, fit, placed_mm, limit_mm), is_edge, image)
     gap = gap_about(seen, section.light, stated, placed_mm)
-    if not (is_edge or math.isnan(gap.y_mm)):
-        places = places_of(points[Y_MM], section.reach_mm, section.column_mm)
-        nats = evidence_of_gap(seen, gap.first, gap.last, places)
+    if math.isnan(gap.y_mm):
+        return fit, placed_mm, gap, nats
+    places = places_of(points[Y_MM], section.reach_mm, section.column_mm)
+    if is_edge and section.n_columns > 0:
+        between, outer_mm = (gap.first, gap.last), 0.5 * gap.width_mm + stated.thickness_mm
+        nats = evidence_of_sheets(
+            seen, section.n_columns, between, gap.y_mm, outer_mm, sheet_slack_mm(stated)
+        ) - math.log(places)
+    elif not is_edge:
+        nats = evidence_of_gap(seen, section.light, gap.first, gap.last, places)
     return fit, placed_mm, gap, nats
 
 
@@ -155,9 +163,11 @@ def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: f
     An edge joint's lies amid its sheets' outer ends, if they are equal.
     """
     thickness, gap_mm = stated.thickness_mm, stated.gap_mm
-    # Beyond a thin sheet there is no plate either: more of that than of the sheet would outvote it.
-    slack = min(SLACK_MM, 0.5 * thickness) if stated.is_edge else SLACK_MM
+    slack = sheet_slack_mm(stated) if stated.is_edge else SLACK_MM
     reach = 0.5 * gap_mm + slack
+    if light.position_px.shape[0] == 0:
+        # How often a plate misses columns, all of it tells.
+        reach = 0.5 * gap_mm + (thickness if stated.is_edge else NEAR_MM)
     right = end_between(lines, light, y_0 - reach, y_0, True)
     left = end_between(lines, light, y_0, y_0 + reach, False)
     first, last = right.line + 1, left.line - 1
@@ -187,6 +197,15 @@ def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: f
     middle, blurred_mm = 0.5 * (left.y_mm + right.y_mm), BLURRED_LINES * lines.column_mm
     y_per_z = interpolated(middle, lines.y_mm, lines.y_per_z)
     return JointGap(middle, variance, 0.0, blurred_mm**2, first, last, y_per_z)
+
+
+@kernel
+def sheet_slack_mm(stated: StatedJoint) -> float:
+    """Return the largest distance of an edge joint's ends from their stated places, mm.
+
+    Beyond a thin sheet there is no plate either: more of that than of the sheet would outvote it.
+    """
+    return min(SLACK_MM, 0.5 * stated.thickness_mm)
 
 
 @kernel(allocates=True)

@@ -16,6 +16,7 @@ import numpy as np
 
 from noise_model.compiled.arrays import Bool, Float64
 from noise_model.compiled.kernel import kernel
+from tracker.joint.face_change import Columns, change_of_faces, fill_places
 from tracker.joint.measured import OFF_SIGMAS, OnFace, meet_face
 from tracker.state import DY_MM, DZ_MM, SCAN, SIGMA_PX, Z_MM
 from tracker.stripe.edge import stripe_ends
@@ -84,6 +85,16 @@ class EdgeScatter(NamedTuple):
     beyond_mm2: float
 
 
+@kernel
+def off_faces(lines: Float64, faces: Faces, i: int, off_px: float, bent_mm: float) -> tuple[float, float]:
+    """Return how far point i, of so many px 1 sigma, lies off the face before and that behind, in sigmas."""
+    to_before = (lines[DZ_MM, i] - faces.before_slope[i] * lines[DY_MM, i]) * off_px
+    to_behind = (lines[DZ_MM, i] - faces.behind_slope[i] * lines[DY_MM, i]) * off_px
+    off_before = (lines[Z_MM, i] - faces.before_mm[i]) / math.hypot(to_before, bent_mm)
+    off_behind = (lines[Z_MM, i] - faces.behind_mm[i]) / math.hypot(to_behind, bent_mm)
+    return off_before, off_behind
+
+
 @kernel(allocates=True)
 def change_of(
     lines: Float64,
@@ -116,10 +127,7 @@ def change_of(
     for k in range(n):
         i = first + k
         off_px = math.hypot(lines[SIGMA_PX, i], moved_px[k])
-        to_before = (lines[DZ_MM, i] - faces.before_slope[i] * lines[DY_MM, i]) * off_px
-        to_behind = (lines[DZ_MM, i] - faces.behind_slope[i] * lines[DY_MM, i]) * off_px
-        off_before = (lines[Z_MM, i] - faces.before_mm[i]) / math.hypot(to_before, bent_mm)
-        off_behind = (lines[Z_MM, i] - faces.behind_mm[i]) / math.hypot(to_behind, bent_mm)
+        off_before, off_behind = off_faces(lines, faces, i, off_px, bent_mm)
         cost += min(off_before**2, farthest) - min(off_behind**2, farthest)
         costs[k] = cost
         min_cost = min(min_cost, cost)
@@ -190,13 +198,27 @@ def edge_between(
     before: int,
     behind: int,
     hidden: HiddenStrip,
+    is_profile: bool,
 ) -> Edge:
     """Return the edge between the two of some points (n,) that `points_around_edge` has found.
 
-    A face may be bent by so much; see `change_of` and `upright_edge`.
+    A face may be bent by so much; see `change_of` and `upright_edge`, and `edge_by_columns` of a profile.
     """
     on_before = meet_face(lines, faces.before_mm, faces.before_slope)
     met = meet_face(lines, faces.behind_mm, faces.behind_slope)
+    if is_profile:
+        by_columns: Edge = edge_by_columns(
+            lines,
+            faces,
+            limit_mm,
+            bent_mm=bent_mm,
+            column_mm=column_mm,
+            before=before,
+            hidden=hidden,
+            on_before=on_before,
+            on_behind_mm=met.y_mm,
+        )
+        return by_columns
     change = change_of(
         lines,
         faces,
@@ -215,6 +237,54 @@ def edge_between(
         lines[SCAN], column_mm, light, before, behind, hidden=hidden, face=met, change=change
     )
     return edge
+
+
+@kernel(allocates=True)
+def edge_by_columns(
+    lines: Float64,
+    faces: Faces,
+    limit_mm: Float64,
+    bent_mm: float,
+    column_mm: float,
+    before: int,
+    hidden: HiddenStrip,
+    on_before: OnFace,
+    on_behind_mm: Float64,
+) -> Edge:
+    """Return the edge among a profile's points (n,) by which columns show which face (`face_change`).
+
+    Points with a limit (n,) count; that at `before` lies on the face before. A point off both faces shows
+    none.
+    """
+    first, last, farthest = before, before, OFF_SIGMAS * OFF_SIGMAS
+    while first > 0 and limit_mm[first - 1] > 0.0:
+        first -= 1
+    while last < limit_mm.shape[0] - 1 and limit_mm[last + 1] > 0.0:
+        last += 1
+    n = int(abs(lines[SCAN, last] - lines[SCAN, first])) + 1
+    seen, off_before, off_behind = np.zeros(n, np.bool_), np.zeros(n), np.zeros(n)
+    before_mm, behind_mm, begin, end = np.full(n, math.nan), np.full(n, math.nan), n, 0
+    for i in range(first, last + 1):
+        k = int(abs(lines[SCAN, i] - lines[SCAN, first]))
+        to_before, to_behind = off_faces(lines, faces, i, lines[SIGMA_PX, i], bent_mm)
+        off_before[k], off_behind[k] = min(to_before**2, farthest), min(to_behind**2, farthest)
+        off_mm = min(abs(lines[Z_MM, i] - faces.before_mm[i]), abs(lines[Z_MM, i] - faces.behind_mm[i]))
+        seen[k] = off_mm < limit_mm[i]
+        if seen[k]:
+            before_mm[k], behind_mm[k] = on_before.y_mm[i], on_behind_mm[i]
+            begin, end = min(begin, k), max(end, k + 1)
+    columns = Columns(
+        seen[begin:end],
+        before_mm[begin:end],
+        behind_mm[begin:end],
+        off_before[begin:end],
+        off_behind[begin:end],
+        column_mm,
+    )
+    fill_places(columns.before_mm)
+    fill_places(columns.behind_mm)
+    change = change_of_faces(columns, hidden.width_mm, hidden.sigma_mm)
+    return Edge(change.y_mm, change.variance_mm2, on_before.y_per_z[before])
 
 
 @kernel(allocates=True)
