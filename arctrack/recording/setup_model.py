@@ -165,10 +165,6 @@ class RecordingToml(Table):
         return Camera(T_tool_camera=T_tool_camera, **values)
 
 
-UNSHOWN = ("butt", "edge", "lap", "corrugation")
-"""The joints whose upright edges a stripe's light shows: where profiles put them is not known well enough."""
-
-
 class ProfilerToml(RecordingToml):
     """The file of a laser profiler, which needs no tables of light: those have no effect."""
 
@@ -183,10 +179,10 @@ class ProfilerToml(RecordingToml):
         """Return the fields for the camera, sensor and laser to which the profiler amounts."""
         from noise_model.instrument.profiler import SENSOR
 
-        if self.joint.type in UNSHOWN:
+        if self.joint.type == "corrugation":
             raise ValueError(
-                f"[joint] type = {self.joint.type}: its edges are read from light, which profiles lack; "
-                "state another type, or track it by a camera's images"
+                "[joint] type = corrugation: not tracked from profiles; state another type, or track it by "
+                "a camera's images"
             )
         profiler = self.camera.to_profiler()
         return {

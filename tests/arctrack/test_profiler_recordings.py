@@ -37,7 +37,11 @@ def test_a_setup_reads_back_as_it_was_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("stated", "instead", "problem"),
     [
-        ('type = "v_groove"', 'type = "lap"\nthickness_mm = 2.0', r"\[joint\] type = lap: its edges"),
+        (
+            'type = "v_groove"',
+            'type = "corrugation"\nthickness_mm = 2.0\nheight_mm = 30.0\nwidth_mm = 60.0\npitch_mm = 160.0',
+            r"\[joint\] type = corrugation: not tracked from profiles",
+        ),
         ("columns = 640\n", "", r"\[camera\] columns: missing"),
         ('"profile"', '"profiles"', r"\[camera\] kind = .*must be 'profile'"),
         ("pitch_mm = 0.06", "pitch_mm = 0.001", r"\[camera\] range_mm = 30: must be 16384 pitch_mm at most"),
