@@ -242,7 +242,9 @@ class Program:
     again. A robot that `finds_first` stands without an arc, and asks by FIND until a joint is found.
     """
 
-    def __init__(self, node: RobotNode, scheduler: Scheduler, part_mm: float, finds_first: bool) -> None:
+    def __init__(
+        self, node: RobotNode, scheduler: Scheduler, part_mm: float, finds_first: bool = False
+    ) -> None:
         self._robot, self._scheduler, self._part_mm = node.robot, scheduler, part_mm
         self._finds, self._is_found = FindAssembler(), not finds_first
         self._welds = self._robot.status
