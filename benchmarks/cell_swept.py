@@ -16,7 +16,7 @@ from swept_light import Surroundings
 from swept_world import Speckle, SweptWorld
 
 from arctrack.nominal import DIMENSIONS
-from arctrack.simulation.cell.simulated_camera import Shown
+from arctrack.simulation.cell.tracker_node import Shown
 from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
 from arctrack.simulation.cell.weld.rendered_camera import RenderedCamera
 from noise_model.plan.noise import expected_speckle
@@ -38,12 +38,12 @@ class SweptCamera(RenderedCamera):
             Surroundings(),
         )
 
-    def look(self, off_mm: float) -> Shown:
+    def look(self) -> Shown:
         """Return the image (H, W), DN, that the camera takes now."""
         y_mm, z_mm = self.robot.world.seam_mm(self.robot.station_mm)
         joint = self.true_setup.joint
         T_base_seam = seam_frame(joint, np.asarray(joint.seam_in_base_mm[0]))
-        T_base_seam[:3, 3] += T_base_seam[:3, :3] @ (0.0, y_mm + off_mm, z_mm)
+        T_base_seam[:3, 3] += T_base_seam[:3, :3] @ (0.0, y_mm + self.aside_mm, z_mm)
         T_seam_tool = invert(T_base_seam) @ self.robot.T_base_tool()
         arc_on = self.robot.status.arc is Switch.ON
         return self._swept.frame(np.ascontiguousarray(T_seam_tool), True, arc_on, self.rng)

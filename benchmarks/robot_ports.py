@@ -26,7 +26,6 @@ from vendor_robots import ROBOTS, Said, UrRobot
 from arctrack.control.cell_file import BusChoice, ProcessChoice
 from arctrack.control.robot_messages import TRUSTED
 from arctrack.live.serve.robot_port import port_process
-from arctrack.simulation.cell.cell import Cell
 from robot_io import (
     ANY_SOURCE,
     Link,
@@ -38,6 +37,7 @@ from robot_io import (
     Source,
     Validity,
 )
+from validation.fault_schedules.judged_cell import JudgedCell
 from validation.fault_schedules.worlds import draw_world
 
 GROUP = "239.74.163.2"
@@ -139,7 +139,7 @@ def led(interface: str, seconds: float) -> tuple[float, float]:
     """Return the torch's error, rms mm, and the estimated lag, ms, in a simulated cell."""
     rng = np.random.default_rng(1)
     world = draw_world(rng)
-    cell = Cell(world, rng) if interface == "can" else port_cell(world, rng, interface)
+    cell = JudgedCell(world, rng) if interface == "can" else port_cell(world, rng, interface)
     cell.run(seconds)
     off_mm = [off_mm for time_s, off_mm in cell.torch_error_mm if time_s > 3.0]
     return float(np.sqrt(np.mean(np.square(off_mm)))), 1e3 * cell.tracker.poses.look_ahead.lag.lag_s

@@ -131,7 +131,7 @@ def run_camera(plan: LoopPlan, name: str, shots: Connection) -> None:
     camera = setup.camera
     robot = Robot(world_of(plan, setup))
     sensor = RenderedCamera(robot, setup, setup, np.random.default_rng([plan.seed, 1]))
-    sensor.look(0.0)
+    sensor.look()
     # Before there are frames: a tracker takes the line once it finds them.
     remove_line(name)
     try:
@@ -157,7 +157,7 @@ def _publish(shots: Connection, sensor: RenderedCamera, frames: SharedFramesWrit
         robot.offset_mm, robot.status = np.array(shot.offset_mm), shot.status
         wanted = read_line(name)
         sensor.is_laser_on, sensor.exposure_s = time.monotonic() < wanted.laser_until_s, wanted.exposure_s
-        image_dn = sensor.look(0.0)
+        image_dn = sensor.look()
         assert image_dn is not None
         frames.publish(
             Frame(

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from arctrack.simulation.cell.cell import Cell
-from arctrack.simulation.cell.fault_kind import FaultKind
 from robot_io import GateReason, Switch, Validity
 from robot_io.link.reconnecting import LinkFault
 from validation.fault_schedules import schedules
 from validation.fault_schedules.__main__ import app
+from validation.fault_schedules.fault_kind import FaultKind
+from validation.fault_schedules.judged_cell import JudgedCell
 from validation.fault_schedules.kinds import KINDS
 from validation.fault_schedules.schedules import ScheduleOutcome, run_schedule, run_schedules
 from validation.fault_schedules.table import failures, table
@@ -26,7 +26,7 @@ NOTHING = FaultKind("nothing", lambda cell, rng: lambda: None)
 
 def cell_of(seed):
     rng = np.random.default_rng(seed)
-    return Cell(draw_world(rng), rng)
+    return JudgedCell(draw_world(rng), rng)
 
 
 @pytest.mark.parametrize("seed", range(3))

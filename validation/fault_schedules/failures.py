@@ -7,12 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from arctrack.simulation.cell.bus import BusTrouble
-from arctrack.simulation.cell.cell import Cell
-from arctrack.simulation.cell.fault_kind import POSES, Begin, End, FaultKind
 from arctrack.simulation.cell.robot_node import SOURCE
-from arctrack.simulation.cell.tracker_node import CameraBehaviour
-from arctrack.simulation.cell.weld.welding_events import rearm
+from arctrack.simulation.cell.weld.events import End, rearm
 from robot_io import (
     Command,
     GateReason,
@@ -26,6 +22,10 @@ from robot_io import (
     WeldingState,
 )
 from validation.fault_schedules import pose_faults
+from validation.fault_schedules.fault_kind import POSES, Begin, FaultKind
+from validation.fault_schedules.faulty_bus import BusTrouble
+from validation.fault_schedules.faulty_tracker import CameraBehaviour
+from validation.fault_schedules.judged_cell import JudgedCell
 
 LONGEST_S = 0.9
 """A fault lasts no longer by itself, s."""
@@ -34,7 +34,7 @@ DELAYED = frozenset({GateReason.BUS_DELAYED})
 
 
 def _camera(behaviour: CameraBehaviour) -> Begin:
-    def begin(cell: Cell, rng: np.random.Generator) -> End:
+    def begin(cell: JudgedCell, rng: np.random.Generator) -> End:
         cell.tracker.ghost_mm = float(rng.choice((-1.0, 1.0)) * rng.uniform(1.5, 4.0))
         cell.tracker.behaviour = behaviour
 
@@ -47,7 +47,7 @@ def _camera(behaviour: CameraBehaviour) -> Begin:
 
 
 def _poses(spoiler: pose_faults.Spoiler) -> Begin:
-    def begin(cell: Cell, rng: np.random.Generator) -> End:
+    def begin(cell: JudgedCell, rng: np.random.Generator) -> End:
         cell.robot.spoil = spoiler(cell, rng, cell.scheduler.now_s)
 
         def end() -> None:
@@ -58,7 +58,7 @@ def _poses(spoiler: pose_faults.Spoiler) -> Begin:
     return begin
 
 
-def _drift(cell: Cell, rng: np.random.Generator) -> End:
+def _drift(cell: JudgedCell, rng: np.random.Generator) -> End:
     """Let poses drift and be right again. Nothing tells which of both is right: the seam is begun anew."""
     end_drift = _poses(pose_faults.drift)(cell, rng)
 
@@ -72,7 +72,7 @@ def _drift(cell: Cell, rng: np.random.Generator) -> End:
 def _said(change: Callable[[RobotStatus], RobotStatus | None]) -> Begin:
     """Let the robot say something else, and do it where it says so of its motion."""
 
-    def begin(cell: Cell, _rng: np.random.Generator) -> End:
+    def begin(cell: JudgedCell, _rng: np.random.Generator) -> End:
         robot = cell.robot.robot
         robot.advance(cell.scheduler.now_s)
         right, told = robot.status, change(robot.status)
@@ -90,7 +90,7 @@ def _said(change: Callable[[RobotStatus], RobotStatus | None]) -> Begin:
     return begin
 
 
-def _bad_crc(cell: Cell, _rng: np.random.Generator) -> End:
+def _bad_crc(cell: JudgedCell, _rng: np.random.Generator) -> End:
     robot = cell.robot.robot
     right = robot.status
     robot.status = replace(right, emergency_stop=Switch.ON)
@@ -102,7 +102,7 @@ def _bad_crc(cell: Cell, _rng: np.random.Generator) -> End:
     return end
 
 
-def _no_command(cell: Cell, _rng: np.random.Generator) -> End:
+def _no_command(cell: JudgedCell, _rng: np.random.Generator) -> End:
     cell.robot.commands = False
 
     def end() -> None:
@@ -111,13 +111,13 @@ def _no_command(cell: Cell, _rng: np.random.Generator) -> End:
     return end
 
 
-def _disarm(cell: Cell, _rng: np.random.Generator) -> End:
+def _disarm(cell: JudgedCell, _rng: np.random.Generator) -> End:
     cell.command(Command.DISARM)
     return lambda: cell.command(Command.TRACK)
 
 
 def _bus(trouble: Callable[[np.random.Generator], BusTrouble]) -> Begin:
-    def begin(cell: Cell, rng: np.random.Generator) -> End:
+    def begin(cell: JudgedCell, rng: np.random.Generator) -> End:
         drawn = trouble(rng)
         cell.bus.trouble.append(drawn)
         return lambda: cell.bus.trouble.remove(drawn)
@@ -125,7 +125,7 @@ def _bus(trouble: Callable[[np.random.Generator], BusTrouble]) -> Begin:
     return begin
 
 
-def _queue_full(cell: Cell, _rng: np.random.Generator) -> End:
+def _queue_full(cell: JudgedCell, _rng: np.random.Generator) -> End:
     cell.tracker.queue_full = True
 
     def end() -> None:
@@ -134,7 +134,7 @@ def _queue_full(cell: Cell, _rng: np.random.Generator) -> End:
     return end
 
 
-def _disk_full(cell: Cell, _rng: np.random.Generator) -> End:
+def _disk_full(cell: JudgedCell, _rng: np.random.Generator) -> End:
     cell.tracker.disk.is_full = True
 
     def end() -> None:
@@ -143,7 +143,7 @@ def _disk_full(cell: Cell, _rng: np.random.Generator) -> End:
     return end
 
 
-def _stutter(cell: Cell, rng: np.random.Generator) -> End:
+def _stutter(cell: JudgedCell, rng: np.random.Generator) -> End:
     """Stop the process again and again, each time for as long as chance has it."""
     ended: list[bool] = []
 
@@ -166,7 +166,7 @@ def _stutter(cell: Cell, rng: np.random.Generator) -> End:
     return end
 
 
-def _restarted(cell: Cell, _rng: np.random.Generator) -> End:
+def _restarted(cell: JudgedCell, _rng: np.random.Generator) -> End:
     cell.tracker.start()
 
     def end() -> None:
@@ -177,14 +177,14 @@ def _restarted(cell: Cell, _rng: np.random.Generator) -> End:
 
 
 def _clock(step_s: float) -> Begin:
-    def begin(cell: Cell, _rng: np.random.Generator) -> End:
+    def begin(cell: JudgedCell, _rng: np.random.Generator) -> End:
         cell.tracker.clock_s += step_s
         return lambda: None
 
     return begin
 
 
-def _second_tracker(cell: Cell, rng: np.random.Generator) -> End:
+def _second_tracker(cell: JudgedCell, rng: np.random.Generator) -> End:
     protector = Protector(SOURCE)
     ended: list[bool] = []
     far_mm = float(rng.uniform(-5.0, 5.0))
@@ -204,12 +204,12 @@ def _second_tracker(cell: Cell, rng: np.random.Generator) -> End:
     return end
 
 
-def _stopped(cell: Cell, _rng: np.random.Generator) -> End:
+def _stopped(cell: JudgedCell, _rng: np.random.Generator) -> End:
     cell.tracker.is_running = False
     return cell.tracker.resume
 
 
-def _killed(cell: Cell, _rng: np.random.Generator) -> End:
+def _killed(cell: JudgedCell, _rng: np.random.Generator) -> End:
     cell.tracker.is_running = False
 
     def end() -> None:

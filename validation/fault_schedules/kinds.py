@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from arctrack.simulation.cell.cell import BRIDGE_MM, Cell
-from arctrack.simulation.cell.fault_kind import Begin, End, FaultKind
-from arctrack.simulation.cell.tracker_node import CameraBehaviour
-from arctrack.simulation.cell.weld.welding_events import (
-    ARC_FAULT,
+from arctrack.simulation.cell.cell import BRIDGE_MM
+from arctrack.simulation.cell.weld.events import (
     LONG_TACK_MM,
     SHORT_TACK_MM,
-    SLIPPED,
+    End,
+    arc_fault,
+    arc_fault_s,
+    displace_part,
     rearm,
     way,
 )
 from robot_io import Command, GateReason
 from validation.fault_schedules.failures import FAULTS
+from validation.fault_schedules.fault_kind import POSES, Begin, FaultKind
+from validation.fault_schedules.faulty_tracker import CameraBehaviour
+from validation.fault_schedules.judged_cell import JudgedCell
 from validation.fault_schedules.worlds import MIN_SPEED_MM_S
 
 
 def _unseen(is_reset: bool) -> Begin:
     """Let the camera see no joint; a tracker that went into its fault over it is reset."""
 
-    def begin(cell: Cell, _rng: np.random.Generator) -> End:
+    def begin(cell: JudgedCell, _rng: np.random.Generator) -> End:
         cell.tracker.behaviour = CameraBehaviour.GARBAGE
 
         def end() -> None:
@@ -38,7 +41,13 @@ def _unseen(is_reset: bool) -> Begin:
 
 KINDS: tuple[FaultKind, ...] = (
     *FAULTS,
-    ARC_FAULT,
+    FaultKind(
+        "arc fault, 15 mm back, restart",
+        arc_fault,
+        frozenset({GateReason.WELDING_FAULT, GateReason.ARC_OFF, GateReason.ROBOT_NOT_MOVING}),
+        0.05,
+        lasts_s=arc_fault_s,
+    ),
     FaultKind(
         f"a tack of {SHORT_TACK_MM:g} mm",
         _unseen(is_reset=False),
@@ -53,6 +62,12 @@ KINDS: tuple[FaultKind, ...] = (
         lasts_s=way(LONG_TACK_MM),
         note=f"a long tack, or a seam out of view: a fault after the job's {BRIDGE_MM:g} mm, until RESET",
     ),
-    SLIPPED,
+    FaultKind(
+        "part slips aside",
+        displace_part,
+        POSES,
+        0.6,
+        note="until the robot disarms, and searches the seam anew",
+    ),
 )
 """Faults, then what happens in welding."""

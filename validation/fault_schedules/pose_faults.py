@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from arctrack.simulation.cell.cell import Cell
-from arctrack.simulation.cell.robot_node import RobotReport, Spoil
+from arctrack.simulation.cell.robot_node import RobotReport
+from validation.fault_schedules.faulty_robot import Spoil
 
 CYCLE_S = 0.01
 """A robot tells a pose so often, s."""

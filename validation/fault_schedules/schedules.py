@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from arctrack.simulation.cell.cell import TORCH_MM, USABLE, Cell, ReceivedOffset
-from arctrack.simulation.cell.fault_kind import FaultKind
+from arctrack.simulation.cell.cell import TORCH_MM
 from arctrack.workers import processes
 from robot_io import GateLimits, GateReason, Validity
 from validation.fault_schedules.failures import LONGEST_S
+from validation.fault_schedules.fault_kind import FaultKind
+from validation.fault_schedules.judged_cell import USABLE, JudgedCell, ReceivedOffset
 from validation.fault_schedules.kinds import KINDS
 from validation.fault_schedules.worlds import draw_world
 
@@ -89,7 +90,7 @@ def run_schedule(seed: int, number: int, kinds: Sequence[FaultKind] = KINDS) -> 
         lasts_s = kind.lasts_s(world)
     end_s = 1.3 + lasts_s if kind.from_start else begin_s + lasts_s
     schedule = Schedule(kind, begin_s, end_s)
-    cell = Cell(world, rng)
+    cell = JudgedCell(world, rng)
 
     def begin() -> None:
         cell.scheduler.at(end_s, kind.begin(cell, rng))
@@ -131,7 +132,7 @@ def executor(workers: int) -> Iterator[Executor | None]:
         yield pool
 
 
-def _broken(cell: Cell, schedule: Schedule, until_s: float) -> Iterator[str]:
+def _broken(cell: JudgedCell, schedule: Schedule, until_s: float) -> Iterator[str]:
     """Yield what did not hold, each once."""
     usable = [h for h in cell.received if h.offset.validity in USABLE]
     for name, is_broken in (
@@ -157,7 +158,7 @@ def _is_too_old(received: ReceivedOffset, limits: GateLimits, is_slow_bus: bool)
     return known_s - received.true_capture_s > limit_s + WAY_S
 
 
-def _wrongly_told(cell: Cell, schedule: Schedule, usable: Sequence[ReceivedOffset]) -> Iterator[str]:
+def _wrongly_told(cell: JudgedCell, schedule: Schedule, usable: Sequence[ReceivedOffset]) -> Iterator[str]:
     kind, end_s = schedule.kind, schedule.end_s
     if math.isnan(kind.stop_s):
         return
@@ -170,7 +171,7 @@ def _wrongly_told(cell: Cell, schedule: Schedule, usable: Sequence[ReceivedOffse
         yield f"said {', '.join(sorted(r.name for r in wrong))}"
 
 
-def _not_recovered(cell: Cell, kind: FaultKind, until_s: float) -> Iterator[str]:
+def _not_recovered(cell: JudgedCell, kind: FaultKind, until_s: float) -> Iterator[str]:
     last = cell.validities(until_s - SETTLED_S, until_s)
     if set(last) != {Validity.VALID}:
         said = {r.name for t_s, r in cell.reasons if t_s >= until_s - SETTLED_S}

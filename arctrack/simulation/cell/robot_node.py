@@ -43,9 +43,6 @@ class RobotReport:
     age_s: float
 
 
-Spoil = Callable[[float, RobotReport], RobotReport | None]
-"""Function of the time and the true pose that returns the pose to send; None for nothing."""
-
 SOURCE = Source.LIVE
 """Source of the messages, as of a live cell. Nothing leaves the process."""
 
@@ -54,18 +51,14 @@ SOURCE = Source.LIVE
 class RobotNode:
     """Robot's node on the bus: sends pose, status, command and SYNC; receives offsets and follows them.
 
-    `spoil` disturbs the poses that are sent. `change_status` replaces the status, with None for no message;
-    `spoils_crc` makes its CRC wrong. Without `commands` it commands nothing. `on_message` gets every accepted
-    message of the tracker.
+    `change_status` replaces the status, with None for no message. `on_message` gets every accepted message of
+    the tracker.
     """
 
     robot: Robot
     bus: BusConnection
     scheduler: Scheduler
-    spoil: Spoil | None = None
     change_status: Callable[[RobotStatus], RobotStatus | None] | None = None
-    spoils_crc: bool = False
-    commands: bool = True
     on_message: Callable[[Received, BusFrame], None] | None = None
     inbox: Inbox = field(default_factory=lambda: Inbox(Trusted(SOURCES, SOURCES)))
     _protector: Protector = field(default_factory=lambda: Protector(SOURCE))
@@ -90,8 +83,7 @@ class RobotNode:
         T_base_tool = self.robot.T_base_tool()
         x, y, z = T_base_tool[:3, 3].tolist()
         quaternion: Quaternion = tuple(Rotation.from_matrix(T_base_tool[:3, :3]).as_quat().tolist())
-        report = RobotReport((x, y, z), quaternion, SEND_LAG_S)
-        return report if self.spoil is None else self.spoil(now_s, report)
+        return RobotReport((x, y, z), quaternion, SEND_LAG_S)
 
     def _sample(self) -> None:
         report, due_s = self.report(), self.scheduler.now_s + SEND_LAG_S
@@ -110,16 +102,11 @@ class RobotNode:
         status: RobotStatus | None = self.robot.status
         if self.change_status is not None and status is not None:
             status = self.change_status(status)
-        if status is None:
-            return
-        arbitration_id, data = self._protector.protect(status)
-        if self.spoils_crc:
-            data = bytes([data[0] ^ 0x5A]) + data[1:]
-        self.bus.send(self.name, arbitration_id, data)
+        if status is not None:
+            self._send(status)
 
     def _send_command(self) -> None:
-        if self.commands:
-            self._send(self.robot.command)
+        self._send(self.robot.command)
 
     def _send_sync(self) -> None:
         self._sequence = (self._sequence + 1) % 256

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from arctrack.control.look_ahead import LookAhead
-from arctrack.simulation.cell.cell import Cell
 from robot_io import Command, PoseKind, PoseSample, SeamOffset, Switch, TrackerCommand, Validity
 from robot_io.clocks.lag import Lag, LagUnestimated, Motion
 from robot_io.poses.nominal_path import NominalPath
 from tests.robot_io.first_order import follow
 from tracker.state import AT_ONCE
+from validation.fault_schedules.judged_cell import JudgedCell
 from validation.fault_schedules.worlds import draw_world
 
 PATH = NominalPath(((0.0, 0.0, 0.0), (500.0, 0.0, 0.0)))
@@ -124,7 +124,7 @@ def test_looking_ahead_takes_a_torch_along_a_bent_seam_in_the_cell():
         world = replace(
             draw_world(rng), slope=(-0.05, 0.0), bend_mm=1.0, bend_length_mm=120.0, speed_mm_s=10.0
         )
-        cell = Cell(world, rng)
+        cell = JudgedCell(world, rng)
         cell.tracker.poses.looks_ahead = looks_ahead
         cell.run(8.0)
         errors = np.array([error for t_s, error in cell.torch_error_mm if t_s > 4.0])

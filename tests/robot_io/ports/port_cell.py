@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from vendor_robots import ROBOTS, Said, UrRobot
 
 from arctrack.simulation.cell.bus import BusFrame
-from arctrack.simulation.cell.cell import Cell
 from arctrack.simulation.cell.robot_node import RobotNode, as_message
 from robot_io import MotionState, SeamOffset, Switch, Validity
 from robot_io.ports.egm.dialect import EgmDialect
@@ -18,6 +17,8 @@ from robot_io.ports.rsi.dialect import RsiDialect
 from robot_io.ports.rtde.dialect import RtdeDialect
 from robot_io.ports.session import RobotSession
 from robot_io.ports.tcp_json.dialect import JsonDialect
+from validation.fault_schedules.faulty_bus import FaultyBus
+from validation.fault_schedules.judged_cell import JudgedCell
 
 DIALECTS = {"tcp_json": JsonDialect, "egm": EgmDialect, "rsi": RsiDialect, "rtde": RtdeDialect}
 WIRE_S = 0.0003
@@ -128,9 +129,10 @@ class PortNode(RobotNode):
         return [time_s for time_s, _, _, counts in self.applied if counts and from_s <= time_s < to_s]
 
 
-def port_cell(world, rng, interface: str) -> Cell:
-    return Cell(
-        world,
-        rng,
-        make_node=lambda robot, bus, scheduler: PortNode(robot, bus, scheduler, interface=interface),
-    )
+def port_cell(world, rng, interface: str) -> JudgedCell:
+    class PortCell(JudgedCell):
+        def _make_robot(self, robot):
+            bus = FaultyBus(self.scheduler, self.rng)
+            return bus, PortNode(robot, bus, self.scheduler, interface=interface)
+
+    return PortCell(world, rng)

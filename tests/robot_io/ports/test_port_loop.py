@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from port_cell import port_cell
 
-from arctrack.simulation.cell.cell import Cell
 from robot_io import Command, Switch
 from robot_io.ports.session import MAX_STEP_S, RATE_MM_S
+from validation.fault_schedules.judged_cell import JudgedCell
 from validation.fault_schedules.worlds import draw_world
 
 pytestmark = pytest.mark.slow
@@ -18,15 +18,15 @@ INTERFACES = ("tcp_json", "egm", "rsi", "rtde")
 DATAGRAMS = ("egm", "rsi")
 
 
-def ran(interface: str, seconds: float) -> Cell:
+def ran(interface: str, seconds: float) -> JudgedCell:
     rng = np.random.default_rng(1)
     world = draw_world(rng)
-    cell = Cell(world, rng) if interface == "can" else port_cell(world, rng, interface)
+    cell = JudgedCell(world, rng) if interface == "can" else port_cell(world, rng, interface)
     cell.run(seconds)
     return cell
 
 
-def torch_rms_mm(cell: Cell) -> float:
+def torch_rms_mm(cell: JudgedCell) -> float:
     return float(np.sqrt(np.mean([off_mm**2 for time_s, off_mm in cell.torch_error_mm if time_s > 3.0])))
 
 

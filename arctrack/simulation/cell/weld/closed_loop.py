@@ -46,7 +46,7 @@ class LoopPlan:
     - `bend_mm`, `bend_length_mm`: amplitude of an additional bend to the left, and its wave length.
     - `length_mm`: the torch's path; `weave_mm`, `weave_hz` its weave across; `rate_hz` the frame rate.
     - `looks_ahead`: the lag is estimated, and offsets are asked for where the torch will be once they act.
-    - `event`: a name of `loop_events.LOOP_EVENTS`.
+    - `event`: a name of `events.LOOP_EVENTS`.
     - `exact`: the truth is as the setup says; otherwise it is off by the setup's tolerances.
     - `size_px`: the image's width and height; every size has the same field of view.
     - `path`: `circle:RADIUS` or `corner:RADIUS`, mm, in place of a straight seam. The part then lies
@@ -233,7 +233,6 @@ class ClosedLoop:
         if self.plan.event is None:
             return None
         kind = LOOP_EVENTS[self.plan.event]
-        assert kind.lasts_s is not None
         begin_s = 0.0 if kind.from_start else 6.0
         end_s = begin_s + kind.lasts_s(self.cell.world)
         draw = np.random.default_rng([self.plan.seed, 3])

@@ -8,7 +8,7 @@ import numpy as np
 
 from arctrack.control.frame_tracking import Capture, FrameTracking, TrackedFrame
 from arctrack.simulation.cell.robot import Robot
-from arctrack.simulation.cell.simulated_camera import COMPUTED_S, Shown
+from arctrack.simulation.cell.tracker_node import COMPUTED_S, Shown
 from arctrack.simulation.turning_seam import TurningSeam
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64, Integers
@@ -60,10 +60,10 @@ class RenderedCamera:
         """Reset the tracker, as in a new process."""
         self.tracking = FrameTracking(self.setup)
 
-    def look(self, off_mm: float) -> Shown:
-        """Return the image (H, W), DN, that the camera takes now of a seam so far to the left, mm."""
+    def look(self) -> Shown:
+        """Return the image (H, W), DN, that the camera takes now."""
         T_base_tool = self.robot.T_base_tool()
-        true_setup, seam = self._seen(T_base_tool, off_mm + self.aside_mm)
+        true_setup, seam = self._seen(T_base_tool)
         exposure_s = self._true.camera.exposure_s if math.isnan(self.exposure_s) else self.exposure_s
         condition = Condition(float(self.is_laser_on), self.level_now(), exposure_s, self.robot.now_s)
         image_dn = draw_frame(
@@ -100,12 +100,6 @@ class RenderedCamera:
             is_bead = (first_mm < station_mm) & (station_mm < last_mm) & (off_mm < rim_mm)
             image_dn[is_bead] = (ripples[is_bead] * saturation_dn(self.setup.sensor)).astype(image_dn.dtype)
 
-    def garbage(self) -> Shown:
-        """Return an image of noise alone."""
-        camera, sensor = self.setup.camera, self.setup.sensor
-        size = (camera.height, camera.width)
-        return self.rng.integers(0, 2**sensor.bits, size).astype(sensor.dtype)
-
     def track(self, shown: Shown, capture: Capture) -> TrackedFrame:
         """Track a frame; of poses that are doubted nothing lasts."""
         assert shown is not None
@@ -126,14 +120,14 @@ class RenderedCamera:
             return self.arc_level(self.robot.now_s)
         return 1.0 if self.robot.status.arc is Switch.ON else 0.0
 
-    def _seen(self, T_base_tool: Float64, off_mm: float) -> tuple[Setup, Seam]:
+    def _seen(self, T_base_tool: Float64) -> tuple[Setup, Seam]:
         """Return the true setup and seam as they are seen from a pose (4, 4)."""
         world, joint = self.robot.world, self.true_setup.joint
         if world.course is not None:
 
             def displacement_mm(station_mm: float) -> tuple[float, float]:
                 y_mm, z_mm = world.along_mm(station_mm)
-                return y_mm + off_mm, z_mm
+                return y_mm + self.aside_mm, z_mm
 
             seen = TurningSeam(world.course, displacement_mm, world.part_mm).seen_from(
                 self._true, T_base_tool
@@ -146,7 +140,7 @@ class RenderedCamera:
             on_path_mm = station_mm - world.start_base_mm[0]
             y_mm, z_mm = world.seam_mm(on_path_mm)
             slope_y, slope_z = world.seam_slope(on_path_mm)
-            return SeamLine(station_mm, y_mm + off_mm, z_mm, slope_y, slope_z)
+            return SeamLine(station_mm, y_mm + self.aside_mm, z_mm, slope_y, slope_z)
 
         first_mm, last_mm, torch_mm = make_scene(apply_setup_effects(self._true), T_base_tool).stations_mm
         return self._true, BentSeam.along(line, (first_mm, last_mm), torch_mm, joint.has_ridges)

@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from arctrack.simulation.cell.bus import Bus, BusTrouble
+from arctrack.simulation.cell.bus import Bus
 from arctrack.simulation.cell.scheduler import Scheduler
+from validation.fault_schedules.faulty_bus import BusTrouble, FaultyBus
 
 DATA = bytes(range(8))
 
@@ -11,7 +12,7 @@ DATA = bytes(range(8))
 def sent(trouble=(), count=400, sender="robot"):
     """Return (number, time of its sending, time, data) of what arrives of frames that come every 10 ms."""
     scheduler = Scheduler()
-    bus, came = Bus(scheduler, np.random.default_rng(1), list(trouble)), []
+    bus, came = FaultyBus(scheduler, np.random.default_rng(1), list(trouble)), []
     bus.join("robot", lambda frame: came.append(("echo", frame)))
 
     def hear(frame):

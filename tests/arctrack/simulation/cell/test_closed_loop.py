@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 
 from arctrack.cli import app
 from arctrack.cli.cell import event_lines
-from arctrack.simulation.cell.cell import Cell
 from arctrack.simulation.cell.robot import CORRECTION_MM_S, Robot
 from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
-from arctrack.simulation.cell.weld.welding_events import ARC_FAULT
+from arctrack.simulation.cell.weld.events import arc_fault, arc_fault_s
 from robot_io import SeamOffset, Validity, WeldingState
+from validation.fault_schedules.judged_cell import JudgedCell
 from validation.fault_schedules.worlds import draw_world
 
 QUICK = LoopPlan(joint="lap", speed_mm_s=20.0, length_mm=64.0, rate_hz=12.5)
@@ -123,10 +123,10 @@ def test_nothing_is_valid_before_a_struck_arc_is_steady_and_a_tack_hides_the_joi
     assert "VALID again" in "\n".join(event_lines(happened))
     camera, robot = loop.camera, loop.cell.robot.robot
     camera.rng = np.random.default_rng(1)
-    plain = camera.look(0.0).astype(float)
+    plain = camera.look().astype(float)
     first_mm = robot.station_mm + 32.0
     camera.rng, camera.tacks_mm = np.random.default_rng(1), ((first_mm, first_mm + 6.0),)
-    hidden = camera.look(0.0) != plain
+    hidden = camera.look() != plain
     columns = np.nonzero(hidden)[1]
     assert 0.01 < hidden.mean() < 0.1
     # The stripe's middle is under it, both its ends are not.
@@ -147,10 +147,10 @@ def test_a_tack_that_looks_like_a_seam_that_jumps_is_no_doubt_of_the_poses():
 @pytest.mark.slow
 def test_an_arc_fault_moves_the_robot_back_and_it_goes_on():
     rng = np.random.default_rng(4)
-    cell = Cell(draw_world(rng), rng)
+    cell = JudgedCell(draw_world(rng), rng)
     cell.run(2.0)
     before_mm = cell.robot.robot.station_mm
-    cell.scheduler.at(2.0 + ARC_FAULT.lasts_s(cell.world), ARC_FAULT.begin(cell, rng))
+    cell.scheduler.at(2.0 + arc_fault_s(cell.world), arc_fault(cell, rng))
     cell.run(2.0 + 0.3 + 0.75 + 0.1)
     assert cell.robot.robot.station_mm == pytest.approx(before_mm - 15.0, abs=0.1)
     assert cell.robot.robot.status.welding is WeldingState.IGNITING

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from arctrack.simulation.cell.cell import Cell
+from arctrack.simulation.cell.weld.events import End
 from arctrack.simulation.cell.world import World
 from robot_io import GateReason
+from validation.fault_schedules.judged_cell import JudgedCell
 
-End = Callable[[], None]
-"""Callback that ends a fault."""
-
-Begin = Callable[[Cell, np.random.Generator], End]
+Begin = Callable[[JudgedCell, np.random.Generator], End]
 """Begins a fault in a cell, with what chance decides."""
 
 POSES = frozenset({GateReason.POSE_IMPLAUSIBLE})

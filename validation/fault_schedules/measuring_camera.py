@@ -8,7 +8,7 @@ import numpy as np
 from arctrack.control.frame_tracking import Capture, TrackedFrame
 from arctrack.control.innovation import SeamMeasurement
 from arctrack.simulation.cell.robot import Robot
-from arctrack.simulation.cell.simulated_camera import COMPUTED_S, Shown
+from arctrack.simulation.cell.tracker_node import COMPUTED_S, Shown
 from robot_io import PoseAt, PoseStatus
 from tracker import flags
 from tracker.seam.gaussian_process import SeamHistory
@@ -17,10 +17,14 @@ from tracker.state import Track
 
 @dataclass
 class MeasuringCamera:
-    """Simulated sensor without images over a straight seam: its crossing, and the real seam filter."""
+    """Simulated sensor without images over a straight seam: its crossing, and the real seam filter.
+
+    `aside_mm` is how far to the left the seam seems to lie.
+    """
 
     robot: Robot
     rng: np.random.Generator
+    aside_mm: float = 0.0
 
     def __post_init__(self) -> None:
         self.begin()
@@ -34,19 +38,17 @@ class MeasuringCamera:
             history = history.with_measurement(float(station_mm), seam_mm, np.full(2, world.noise_mm**2))
         self._history = history
 
-    def look(self, off_mm: float) -> Shown:
+    def look(self) -> Shown:
         """Return the stripe's crossing with the seam, (3,) mm, in the frame of the true tool."""
         world = self.robot.world
         station_mm = self.robot.station_mm + world.look_ahead_mm
         y_mm, z_mm = world.seam_mm(station_mm)
         x, y, z = world.start_base_mm
-        seam_base_mm = np.array([x + station_mm, y + y_mm + off_mm, z + z_mm + world.ridge_mm(station_mm)])
+        seam_base_mm = np.array(
+            [x + station_mm, y + y_mm + self.aside_mm, z + z_mm + world.ridge_mm(station_mm)]
+        )
         seam_tool = world.R_seam_tool.T @ (seam_base_mm - self.robot.place_mm())
         return np.asarray(seam_tool + np.array([0.0, *self.rng.normal(0.0, world.noise_mm, 2)]))
-
-    def garbage(self) -> Shown:
-        """Return nothing: no seam is seen."""
-        return None
 
     def track(self, shown: Shown, capture: Capture) -> TrackedFrame:
         """Take a measurement into the seam, and return the offset at the torch."""
