@@ -1,7 +1,7 @@
 """Packs: compiled kernels that come with arctrack, one file for each level of processor.
 
-`noise_model.compiled.pack` writes it. It holds what a user's folder of kernels would, under the same keys, so
-a kernel that has changed since is not found and compiled. What is in a pack is pickled, as trusted as the
+`validation.packs` makes them. A pack holds what a user's folder of kernels would, under the same keys, so a
+kernel that has changed since is not found and compiled. What is in a pack is pickled, as trusted as the
 package's sources: it lies next to them, and one that more users may write than those is left aside.
 """
 
@@ -114,12 +114,3 @@ def read_pack(file: Path) -> Pack:
     index, _, content = lzma.decompress(compressed).partition(b"\n")
     made_with, costs, entries = json.loads(index)
     return Pack(made_with, costs, entries, content)
-
-
-def write_pack(file: Path, pack: Pack) -> None:
-    """Write a pack: the same bytes for the same content."""
-    *index, content = pack
-    plain = json.dumps(index, sort_keys=True).encode() + b"\n" + content
-    compressed = lzma.compress(plain, preset=9 | lzma.PRESET_EXTREME)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_bytes(hashlib.sha256(compressed).hexdigest().encode() + b"\n" + compressed)

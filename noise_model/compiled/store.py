@@ -77,17 +77,9 @@ def read_records(kernel: str, key: str) -> Iterator[Record]:
     except OSError:
         return
     for file in files:
-        record = _read(Path(file.path))
+        record = read_record(Path(file.path))
         if record is not None:
             yield record
-
-
-def stored_records(cache: Path) -> Iterator[tuple[str, str, Record]]:
-    """Yield the name, the key and the record of each kernel that is kept in a folder for NUMBA_CACHE_DIR."""
-    for file in sorted((cache / "arctrack" / "kernels").glob("*/*")):
-        record = _read(file)
-        if record is not None and record.machine_code:
-            yield file.parent.name, file.name, record
 
 
 def is_stored(kernel: str, key: str) -> bool:
@@ -98,7 +90,8 @@ def is_stored(kernel: str, key: str) -> bool:
     return False
 
 
-def _read(file: Path) -> Record | None:
+def read_record(file: Path) -> Record | None:
+    """Return what a file keeps, None where it is gone, damaged or of classes that have changed."""
     try:
         content = file.read_bytes()
     except FileNotFoundError:

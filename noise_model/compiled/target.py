@@ -22,11 +22,6 @@ V4 = V3 | {"avx512bw", "avx512cd", "avx512dq", "avx512f", "avx512vl"}
 CPU_NAMES = {"x86-64-v4": "x86-64-v4", "x86-64-v3": "x86-64-v3", "aarch64": "generic"}
 """LLVM's processor of each target."""
 
-TRIPLES = {
-    target: f"{'aarch64' if target == 'aarch64' else 'x86_64'}-unknown-linux-gnu" for target in CPU_NAMES
-}
-"""LLVM's machine of each target."""
-
 
 def compile_for_level() -> None:
     """Let numba compile for the level of this machine, where the user has chosen no processor.

@@ -20,7 +20,8 @@ main()
 """
 PACK = """
 from pathlib import Path
-from noise_model.compiled import numba_internals as internals, pack, packed, target
+from noise_model.compiled import numba_internals as internals, packed, target
+from validation.packs import pack_of, write_pack
 used = {}
 find, keep = internals.find_records, internals.write_record
 
@@ -35,7 +36,7 @@ def keep_and_note(kernel, key, record):
 
 def write():
     records = [(kernel, key, record) for (kernel, key), record in used.items()]
-    packed.write_pack(Path(FILE) / f"{target.target()}.pack", pack.pack_of(records, {}))
+    write_pack(Path(FILE) / f"{target.target()}.pack", pack_of(records, {}))
 
 internals.find_records, internals.write_record = find_and_note, keep_and_note
 import atexit

@@ -11,10 +11,9 @@ from test_kernel import COMPILED, COMPILED_ANEW, FOUND, LONG, run, write
 
 from noise_model.compiled import packed as packed_module
 from noise_model.compiled.content import versions
-from noise_model.compiled.pack import COMPILE, pack_of, run_python
-from noise_model.compiled.packed import Pack, read_pack, write_pack
-from noise_model.compiled.store import stored_records
+from noise_model.compiled.packed import Pack, read_pack
 from noise_model.compiled.target import CPU_NAMES, V3, V4, levels, target
+from validation.packs import COMPILE, pack_of, run_python, stored_records, write_pack
 
 RELEASED = Path(packed_module.__file__).with_name("packs") / f"{target()}.pack"
 
@@ -25,9 +24,7 @@ pytestmark = [
 
 BUILD = """
 from pathlib import Path
-from noise_model.compiled.pack import COMPILE, pack_of, run_python
-from noise_model.compiled.packed import write_pack
-from noise_model.compiled.store import stored_records
+from validation.packs import COMPILE, pack_of, run_python, stored_records, write_pack
 from noise_model.compiled.target import target
 folder = Path({folder!r})
 write_pack(folder / "packs" / f"{{target()}}.pack", pack_of(stored_records(folder / "kept"), {{}}))

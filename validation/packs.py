@@ -1,6 +1,6 @@
 """Compile what arctrack's commands need, and write it into one file for each target, its pack.
 
-    python -m noise_model.compiled.pack
+    python -m validation.packs
 
 From a clone, at a release: it takes minutes, and needs no cache of this user's. The commands run once,
 compiled for this machine. What they needed is then compiled for each other target too, and not run:
@@ -10,8 +10,10 @@ one machine builds the packs of all. The same sources and packages give the same
 from __future__ import annotations
 
 import argparse
+import hashlib
 import io
 import json
+import lzma
 import os
 import pickle
 import subprocess
@@ -28,12 +30,17 @@ from numba.core.compiler_lock import global_compiler_lock
 
 from noise_model.compiled import numba_internals
 from noise_model.compiled.content import find_kernel, versions
-from noise_model.compiled.packed import Pack, pack_folder, write_pack
-from noise_model.compiled.store import Record, stored_records
-from noise_model.compiled.target import CPU_NAMES, TRIPLES, host_targets
+from noise_model.compiled.packed import Pack, pack_folder
+from noise_model.compiled.store import Record, read_record
+from noise_model.compiled.target import CPU_NAMES, host_targets
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = str(ROOT / "examples/v_groove")
+
+TRIPLES = {
+    target: f"{'aarch64' if target == 'aarch64' else 'x86_64'}-unknown-linux-gnu" for target in CPU_NAMES
+}
+"""LLVM's machine of each target."""
 
 RUN = """
 import json, sys
@@ -52,14 +59,14 @@ finally:
 COMPILE = """
 import sys
 from pathlib import Path
-from noise_model.compiled.pack import compile_stored
+from validation.packs import compile_stored
 compile_stored(sys.argv[1], Path(sys.argv[2]))
 """
 
 
 def main() -> None:
     """Write the packs that the command line asks for."""
-    parser = argparse.ArgumentParser(prog="python -m noise_model.compiled.pack", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m validation.packs", description=__doc__)
     parser.add_argument("--target", choices=CPU_NAMES, action="append", help="only this one; repeat")
     parser.add_argument("--out", type=Path, default=pack_folder(), help="folder of the packs")
     asked = parser.parse_args()
@@ -160,6 +167,23 @@ def pack_of(records: Iterable[tuple[str, str, Record]], costs: Mapping[str, Mapp
                 content.append(piece)
                 end += len(piece)
     return Pack(versions(), costs, entries, b"".join(content))
+
+
+def stored_records(cache: Path) -> Iterator[tuple[str, str, Record]]:
+    """Yield the name, the key and the record of each kernel that is kept in a folder for NUMBA_CACHE_DIR."""
+    for file in sorted((cache / "arctrack" / "kernels").glob("*/*")):
+        record = read_record(file)
+        if record is not None and record.machine_code:
+            yield file.parent.name, file.name, record
+
+
+def write_pack(file: Path, pack: Pack) -> None:
+    """Write a pack: the same bytes for the same content."""
+    *index, content = pack
+    plain = json.dumps(index, sort_keys=True).encode() + b"\n" + content
+    compressed = lzma.compress(plain, preset=9 | lzma.PRESET_EXTREME)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(hashlib.sha256(compressed).hexdigest().encode() + b"\n" + compressed)
 
 
 def canonical(value: Any) -> bytes:
