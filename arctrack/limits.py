@@ -5,59 +5,53 @@ A file beyond a limit is refused in one line before its content takes memory.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TypeVar
+from dataclasses import dataclass
 
-Number = TypeVar("Number", int, float)
+from robot_io.stated_limit import stated
 
 MIB = 2**20
-
-
-def _limit(value: Number, unit: str, role: str, source: str) -> Number:
-    limit: Number = field(default=value, metadata={"unit": unit, "role": role, "source": source})
-    return limit
 
 
 @dataclass(frozen=True)
 class Limits:
     """The limits on what is read. Each field's metadata states `unit`, `role` and `source`."""
 
-    toml_bytes: int = _limit(
+    toml_bytes: int = stated(
         MIB, "bytes", "size of recording.toml", "a setup is 3 kB, with a filter curve of 2000 samples 50 kB"
     )
-    toml_depth: int = _limit(
+    toml_depth: int = stated(
         32, "keys", "how deep tables of recording.toml are nested", "the format nests 3 deep"
     )
-    csv_bytes: int = _limit(
+    csv_bytes: int = stated(
         256 * MIB, "bytes", "size of a CSV file", "2 million poses of 82 bytes are 164 MB"
     )
-    csv_rows: int = _limit(
+    csv_rows: int = stated(
         2_000_000, "rows", "rows of a CSV file, poses of a CAN log", "poses at 250 Hz for two hours"
     )
-    json_bytes: int = _limit(
+    json_bytes: int = stated(
         64 * MIB, "bytes", "size of a file of a blind check", "the labels of 100 recordings are 0.1 MB"
     )
-    log_bytes: int = _limit(
+    log_bytes: int = stated(
         1024 * MIB, "bytes", "size of a CAN log", "an .asc of a bus at 1 Mbit/s fills it in half an hour"
     )
-    image_px: int = _limit(
+    image_px: int = stated(
         2**24, "px", "pixels of the camera", "the tracker's tables take 80 bytes a pixel: 1.3 GB"
     )
-    side_px: int = _limit(16_384, "px", "width and height of the camera", "a line camera's 16k")
-    png_bytes_per_px: int = _limit(
+    side_px: int = stated(16_384, "px", "width and height of the camera", "a line camera's 16k")
+    png_bytes_per_px: int = stated(
         8, "bytes", "size of a PNG, per pixel of the camera", "16 bits in four channels, not compressed"
     )
-    spare_bytes: int = _limit(
+    spare_bytes: int = stated(
         MIB, "bytes", "what a PNG or a video may hold beside its pixels", "headers, an index, texts"
     )
-    video_bytes_per_byte: int = _limit(
+    video_bytes_per_byte: int = stated(
         2, "bytes", "size of frames.mkv, per byte of raw frames", "FFV1 makes noise a tenth larger at most"
     )
-    frame_number: int = _limit(999_999_999, "", "number of a frame", "nine digits of a file's name")
-    time_s: float = _limit(1e11, "s", "distance of a time from 0", "Unix seconds are 1.7e9, a log holds 1e11")
-    exposure_s: float = _limit(3600.0, "s", "exposure of a frame", "an hour; longer ones are in other units")
-    current_a: float = _limit(1e4, "A", "current of a frame", "welding sources end at 2000 A")
-    length_mm: float = _limit(1e7, "mm", "size of a coordinate in base", "ten kilometres")
+    frame_number: int = stated(999_999_999, "", "number of a frame", "nine digits of a file's name")
+    time_s: float = stated(1e11, "s", "distance of a time from 0", "Unix seconds are 1.7e9, a log holds 1e11")
+    exposure_s: float = stated(3600.0, "s", "exposure of a frame", "an hour; longer ones are in other units")
+    current_a: float = stated(1e4, "A", "current of a frame", "welding sources end at 2000 A")
+    length_mm: float = stated(1e7, "mm", "size of a coordinate in base", "ten kilometres")
 
 
 LIMITS = Limits()

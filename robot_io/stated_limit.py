@@ -5,12 +5,13 @@ from collections.abc import Collection
 from dataclasses import field, fields
 from typing import Any, TypeVar
 
-Value = TypeVar("Value", float, bool)
+Value = TypeVar("Value", int, float, bool)
 
 
-def stated(value: Value, unit: str, role: str, source: str) -> Value:
-    """Return a dataclass's field with a default, whose metadata states `unit`, `role` and `source`."""
-    limit: Value = field(default=value, metadata={"unit": unit, "role": role, "source": source})
+def stated(value: Value, unit: str, role: str, source: str, sensitivity: str = "") -> Value:
+    """Return a dataclass's field with a default; its metadata has what else is stated, by these names."""
+    metadata = {"unit": unit, "role": role, "source": source, "sensitivity": sensitivity}
+    limit: Value = field(default=value, metadata=metadata)
     return limit
 
 

@@ -20,8 +20,7 @@ from can.interfaces.virtual import VirtualBus
 from arctrack.control.controller import Controller
 from arctrack.control.frame_tracking import Capture, TrackedFrame
 from arctrack.control.job import Job
-from arctrack.control.pose_agreement import PoseAgreement
-from arctrack.control.recorded_poses import RecordedPoses
+from arctrack.control.recorded_poses import PoseAgreement, RecordedPoses
 from arctrack.control.robot_messages import TRUSTED
 from arctrack.control.tracking_service import SeamTracker, TrackingService
 from arctrack.errors import ArctrackError

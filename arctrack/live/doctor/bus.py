@@ -13,8 +13,7 @@ from arctrack.control.cell_file import BusChoice, CellFile
 from arctrack.control.cell_file.choices import HIGH_LOAD
 from arctrack.control.robot_messages import TRUSTED
 from arctrack.errors import ArctrackError
-from arctrack.live.doctor.finding import DoctorFinding, FindingState, judged
-from arctrack.live.doctor.policy import POLICY
+from arctrack.live.doctor.finding import POLICY, DoctorFinding, FindingState, judged
 from arctrack.live.serve.robot_port import port_process
 from robot_io import Link, LinkError
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from arctrack.control.cell_file import CellFile
 from arctrack.errors import ArctrackError
 from arctrack.live.cameras.camera import CameraProtocol, UnreadableFrame
-from arctrack.live.doctor.finding import DoctorFinding, FindingState, judged
-from arctrack.live.doctor.policy import POLICY
+from arctrack.live.doctor.finding import POLICY, DoctorFinding, FindingState, judged
 from arctrack.live.serve.latency import LatencyCounts, Quantiles
 from arctrack.live.serve.live_run import run_parts
 

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from arctrack.control.cell_file import ProcessChoice
 from arctrack.control.processor import ProcessorWait
-from arctrack.live.doctor.finding import DoctorFinding, FindingState, judged
-from arctrack.live.doctor.policy import POLICY
+from arctrack.live.doctor.finding import POLICY, DoctorFinding, FindingState, judged
 from arctrack.live.serve.latency import LatencyCounts, Quantiles
 from arctrack.live.serve.process import schedule
 

@@ -18,7 +18,7 @@ from arctrack.live.doctor.clocks import (
     wake_up_finding,
     wake_ups,
 )
-from arctrack.live.doctor.finding import DoctorFinding, FindingState, judged
+from arctrack.live.doctor.finding import POLICY, DoctorFinding, FindingState, judged
 from arctrack.live.doctor.host import (
     disk_finding,
     own_memory_lock_finding,
@@ -27,7 +27,6 @@ from arctrack.live.doctor.host import (
     shared_memory_finding,
     versions_finding,
 )
-from arctrack.live.doctor.policy import POLICY
 from arctrack.live.doctor.steps import FRAMES, NotCompiledError, StepTimes, require_compiled, time_steps
 from arctrack.live.journal.journal import journal_bytes
 from arctrack.live.serve.latency import Quantiles

@@ -9,8 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from arctrack.control.cell_file import ProcessChoice
-from arctrack.live.doctor.finding import DoctorFinding, FindingState, judged
-from arctrack.live.doctor.policy import POLICY
+from arctrack.live.doctor.finding import POLICY, DoctorFinding, FindingState, judged
 from arctrack.live.journal.private_memory import memory_folder
 
 PACKAGES = ("arctrack", "numpy", "numba", "opencv-contrib-python-headless", "python-can", "av", "aiohttp")
