@@ -12,12 +12,14 @@ from calibration.camera.enough import UndeterminedError
 from calibration.camera.known_lens import check_corners
 from calibration.camera.sightings import Sightings
 from calibration.hand_eye_boards.chain import POSES, Chain
-from calibration.hand_eye_boards.consistent import PoseConsistency, best_half, select_consistent_poses
 from calibration.hand_eye_boards.enough import (
     InconsistentError,
+    PoseConsistency,
+    best_half,
     check_count,
     check_sigmas,
     check_turns,
+    select_consistent_poses,
     turns_deg,
 )
 from calibration.hand_eye_boards.kinematics import joint_motions

@@ -13,7 +13,7 @@ from camera_scenes import BOARD as SCENE_BOARD
 from camera_scenes import SIZE, VARIED, Held, picture_of, views
 
 from arctrack.calibrate.camera.board_images import read_boards
-from arctrack.calibrate.camera.record import calibrated_camera
+from arctrack.calibrate.camera.stage import calibrated_camera
 from arctrack.recording.setup_file import read_setup_file
 from calibration.boards.board import Board
 from calibration.camera.calibrate import fit_lens

@@ -12,7 +12,7 @@ from click.testing import Result
 from hand_eye_scenes import HELD, T_HOLDER_CAMERA, TRUE_LENS, board_in_camera, off, shown
 from scipy.spatial.transform import Rotation
 
-from arctrack.calibrate.hand_eye.record import hand_eye_record
+from arctrack.calibrate.hand_eye.stage import hand_eye_record
 from arctrack.recording import read_setup_file, with_calibrated
 from calibration.camera.known_lens import board_poses
 from calibration.hand_eye_boards.calibrate import calibrate_hand_eye

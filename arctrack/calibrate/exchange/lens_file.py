@@ -1,12 +1,19 @@
-"""A lens of another program's file, in OpenCV's terms."""
+"""A lens of another program's file, in OpenCV's terms, and as recording.toml holds it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from arctrack.errors import in_file
+from arctrack.recording import CalibrationValues, SetupFile
 from arctrack.recording.files import UnfitFileError
-from calibration.camera.fit_distortion import fit_distortion
+from arctrack.recording.key_errors import wrong_keys
+from arctrack.recording.sensor_tables import CameraTable
+from arctrack.recording.setup_file import setup_text, stated_keys
+from arctrack.recording.toml_text import rounded
+from calibration.camera.known_lens import fit_distortion
 from calibration.camera.lens import Lens
 from noise_model.calibration_errors import OPENCV, PINHOLE
 from noise_model.compiled.arrays import Float64
@@ -72,7 +79,7 @@ def fitted_lens(
 ) -> LensFile:
     """Return a lens whose distortion OpenCV's was fitted to; UnfitFileError where none comes near.
 
-    `undistorted` is that of `calibration.camera.fit_distortion`, `model` names it.
+    `undistorted` is that of `calibration.camera.known_lens`, `model` names it.
     """
     if size is None:
         raise UnfitFileError(f"has no image size, which the conversion of a {model} distortion needs")
@@ -89,3 +96,46 @@ def fitted_lens(
     used = max((OPENCV.index(name) + 1 for name in lens.names[4:]), default=0)
     distortion = tuple(float(value) for value in lens.distortion[:used])
     return LensFile(program, size, pinhole, distortion, error_px, tuple(not_taken))
+
+
+RESTS_ON_THE_LENS = ("hand_eye", "laser")
+"""Calibrations whose values hold for the lens that they were found with."""
+
+
+def imported_camera(read: LensFile, path: Path, stated: SetupFile) -> CalibrationValues:
+    """Return an imported lens as values of `[camera]`; ArctrackError where they are none for a setup.
+
+    The file says nothing of their covariance: the record has none.
+    """
+    camera = stated.setup.camera
+    if read.size is not None and read.size != (camera.width, camera.height):
+        raise in_file(
+            path,
+            f"is of images of {read.size[0]} x {read.size[1]} px, but [camera] width, height of "
+            f"{stated.path} are {camera.width} x {camera.height}: a lens belongs to one image size; import "
+            "the lens of the frames, or state their size",
+        )
+    table = stated_keys(setup_text(stated.path), stated.path).camera
+    try:
+        CameraTable.model_validate(table.model_dump() | read.values)
+    except ValueError as error:
+        raise wrong_keys(path, error, CameraTable) from None
+    about: dict[str, str | float] = {"source": path.name, "program": read.program}
+    if read.error_px:
+        about["conversion_error_px"] = rounded(read.error_px, 2)
+    return CalibrationValues("camera", read.values, (), np.zeros((0, 0)), "arctrack calibrate import", about)
+
+
+def import_notes(read: LensFile, path: Path, stated: SetupFile) -> Iterator[str]:
+    """Yield warnings on an imported lens: what it lacks, and what rests on the lens before."""
+    camera = stated.setup.camera
+    if read.not_taken:
+        yield f"{path}: {', '.join(read.not_taken)}: no pose of the camera on the robot, not taken"
+    if read.size is None:
+        yield f"{path}: has no image size: it is taken for that of {camera.width} x {camera.height} px"
+    elif not read.lens.is_invertible:
+        yield f"{path}: the distortion folds the image before its corners: the lens is not usable there"
+    before = (camera.fx, camera.fy, camera.cx, camera.cy)
+    resting = [f"[calibration.{name}]" for name in RESTS_ON_THE_LENS if name in stated.calibrations]
+    if resting and before != read.pinhole:
+        yield f"{stated.path}: {', '.join(resting)}: found with the lens before; calibrate anew"

@@ -3,21 +3,72 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from arctrack.calibrate.hand_eye.hand_eye_meaning import other_meanings
-from arctrack.calibrate.hand_eye.hand_eye_poses import read_posed_boards
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from arctrack.calibrate.hand_eye.hand_eye_poses import other_meanings, read_posed_boards
 from arctrack.calibrate.hand_eye.page import hand_eye_page
-from arctrack.calibrate.hand_eye.record import hand_eye_record
 from arctrack.calibrate.laser.record import moved_with_camera
 from arctrack.calibrate.robot_poses import PoseSource, read_robot_poses
 from arctrack.calibrate.stage import CalibrationStage, Steps, Warn, left_out
 from arctrack.errors import in_file
-from arctrack.recording import SetupFile
+from arctrack.recording import CalibrationValues, SetupFile
+from arctrack.recording.calibrated import Value
 from arctrack.recording.importing.image_files import find_images
+from arctrack.recording.toml_text import rounded
 from calibration.boards.board import Board
 from calibration.camera.enough import UndeterminedError
 from calibration.hand_eye_boards.calibrate import HandEyeCalibration, calibrate_hand_eye
 from calibration.hand_eye_boards.enough import InconsistentError
+from calibration.hand_eye_boards.robot_error import JOINTS
+from noise_model.calibration_errors import POSE
 from noise_model.compiled.arrays import Float64
+
+MADE_BY = "arctrack calibrate hand-eye"
+
+
+def hand_eye_record(result: HandEyeCalibration) -> CalibrationValues:
+    """Return the pose as values of `[camera.pose_in_tool]`, with its covariance.
+
+    The covariance is that of a small motion of the camera in its own frame, deg and mm. A camera that stands
+    still has no pose in the tool: its pose in base is kept next to its covariance.
+    """
+    pose = pose_values(result.T_holder_camera)
+    lens = result.refined.boards.scene.lens
+    about: dict[str, Value | str | list[str]] = {
+        "board": str(result.refined.boards.seen.board),
+        "poses": len(result.names),
+        "poses_left_out": len(result.left_out),
+        "corner_sigma_px": rounded(result.corner_sigma_px, 4),
+        "robot_sigma_deg": rounded(result.robot_deg, 4),
+        "robot_sigma_mm": rounded(result.robot_mm, 4),
+        "robot_error": result.robot_error.name,
+        "held_out_mm": rounded(result.robot_error.rms_mm, 4),
+    }
+    if result.robot_error.name == JOINTS:
+        about["joints"] = list(result.joints)
+        about["joint_offsets_deg"] = [rounded(value, 4) for value in result.joint_offsets[0].tolist()]
+    if result.lens_covariance.any():
+        about["lens_parameters"] = list(lens.names)
+        about |= {
+            f"{name}_per_lens": [rounded(value, 6) for value in row]
+            for name, row in zip(POSE, result.per_lens, strict=True)
+        }
+    if result.is_eye_to_hand:
+        return CalibrationValues(
+            "camera", {}, POSE, result.covariance, MADE_BY, {**pose, **about}, "camera_in_base"
+        )
+    return CalibrationValues("camera.pose_in_tool", pose, POSE, result.covariance, MADE_BY, about, "hand_eye")
+
+
+def pose_values(T_holder_camera: Float64) -> dict[str, list[float]]:
+    """Return translation_mm and quaternion_xyzw of a pose (4, 4), mm."""
+    quaternion = Rotation.from_matrix(T_holder_camera[:3, :3]).as_quat()
+    return {
+        "translation_mm": [round(float(value), 6) for value in T_holder_camera[:3, 3]],
+        "quaternion_xyzw": [round(float(value), 12) for value in np.asarray(quaternion)],
+    }
+
 
 CHECK = (
     "check how rotations are written (--rotation), units, which pose is of which image, and the squares' side"
