@@ -16,7 +16,7 @@ from swept_light import Surroundings
 from swept_world import Speckle, SweptWorld
 
 from arctrack.nominal import DIMENSIONS
-from arctrack.simulation.cell.tracker_node import Shown
+from arctrack.simulation.cell.cell import Shown
 from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
 from arctrack.simulation.cell.weld.rendered_camera import RenderedCamera
 from noise_model.plan.noise import expected_speckle

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from arctrack.live.watch.gap_watch import GapPolicy, GapWatch
+from arctrack.live.watch.process import GapPolicy, GapWatch
 from arctrack.nominal import nominal_setup
 from arctrack.recording import read_recording
 from arctrack.recording.frames import BadFrame

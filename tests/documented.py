@@ -88,7 +88,7 @@ FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
     [
         "arctrack.replay.explain",
-        "arctrack.check.inspection",
+        "arctrack.check.survey",
         "arctrack.replay.pages.page",
         "arctrack.simulation.simulate",
     ]

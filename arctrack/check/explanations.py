@@ -15,26 +15,131 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from scipy.special import softmax
 from scipy.stats import betabinom, norm
 
 from arctrack.check.check_sample import CheckCase
 from arctrack.check.mistakes import Mistake, common_mistakes, focal_lengths, other_joints
 from arctrack.check.seam_place import SeamPlace
-from arctrack.check.stale_parts import MOVED_PARTS, STALE_PARTS, stale_part
-from arctrack.check.stripe_width import StripeWidth, stripe_width
 from calibration.check.stripe_place import (
     AS_STATED,
+    CAMERA,
+    DIMENSION,
+    DIMENSION_TOLERANCE,
     DIMENSIONS,
+    LASER,
     LENS,
     OFF_NATS,
+    PART,
     RIVAL_NATS,
+    SENSOR,
     Cause,
     explain_stripes,
     with_changes,
 )
+from noise_model.arc.scene import make_scene
 from noise_model.even_sample import evenly
+from noise_model.setup import Setup
+from noise_model.transforms import cross
+from tracker.geometry import SensorGeometry
 from tracker.joint.type_check import JointFamily, family_of
+from tracker.stripe.expected import expect_stripe
+
+
+@dataclass(frozen=True)
+class StripeWidth:
+    """The stripe's 1 sigma, px, as measured and as a setup has it, NaN where unknown."""
+
+    measured_px: float
+    stated_px: float
+
+    @property
+    def ln_ratio(self) -> float:
+        """Logarithm of measured over stated width, NaN where unknown."""
+        return math.log(self.measured_px / self.stated_px)
+
+    def mended(self, case: CheckCase) -> CheckCase:
+        """Return the case with the measured width: the sheet's, and the lens' where that alone is wider."""
+        camera, laser = case.setup.camera, case.setup.laser
+        sheet_px2 = self.stated_px**2 - camera.psf_sigma_px**2
+        psf_px = min(camera.psf_sigma_px, 0.9 * self.measured_px)
+        sheet = math.sqrt((self.measured_px**2 - psf_px**2) / sheet_px2)
+        laser = replace(laser, stripe_sigma_mm=sheet * laser.stripe_sigma_mm)
+        return case.with_setup(replace(case.setup, camera=replace(camera, psf_sigma_px=psf_px), laser=laser))
+
+
+def stripe_width(case: CheckCase) -> StripeWidth:
+    """Return the stripe's width in a case's frames, and as its setup has it at the nominal seam."""
+    try:
+        geometry = SensorGeometry.of(case.setup)
+    except ValueError:
+        return StripeWidth(case.sigma_px, math.nan)
+    widths_px = []
+    for T_base_tool in case.T_base_tool:
+        scene = make_scene(case.setup, T_base_tool) if np.isfinite(T_base_tool).all() else None
+        expected = None if scene is None or scene.below_surface else expect_stripe(geometry, scene)
+        if expected is not None:
+            widths_px.append(float(np.median(expected.sigma_px)))
+    return StripeWidth(case.sigma_px, float(np.median(widths_px)) if widths_px else math.nan)
+
+
+MOVED_PARTS = (PART, LASER, SENSOR, CAMERA)
+STALE_PARTS = (*MOVED_PARTS, LENS, DIMENSIONS)
+
+CURES = {
+    LASER: "arctrack calibrate sheet corrects it by a scan of any flat plate",
+    **dict.fromkeys(
+        (SENSOR, CAMERA), "arctrack calibrate hand-eye measures it, in the tool frame that the poses are of"
+    ),
+    LENS: "recording.toml: give those of arctrack calibrate camera, in px of this image size",
+    PART: "touch the plate with the tip: [joint] seam_in_base_mm, the base frame or the tool's length",
+    DIMENSIONS: "recording.toml: state the dimensions that the part has",
+}
+
+
+def stale_part(case: CheckCase, cause: Cause, stated: Setup) -> tuple[str, str, CheckCase]:
+    """Return what is wrong by a cause, its cure, and the case without it.
+
+    `stated` is the setup as the user states it, which a case may differ from.
+    """
+    setup = with_changes(case.setup, cause.values)
+    if cause.name == PART:
+        setup = _with_part_moved(setup, cause)
+    return _in_words(stated, setup, cause), CURES[cause.name], case.with_setup(setup)
+
+
+def _in_words(stated: Setup, setup: Setup, cause: Cause) -> str:
+    if cause.name == LENS:
+        return f"[camera] fx, fy: about {setup.camera.fx:.0f} px fit, not {stated.camera.fx:.4g}"
+    if cause.name == DIMENSIONS:
+        changed = [
+            f"{name} about {value:.3g}, not {stated.joint.dimensions[name]:g}"
+            for name, value in setup.joint.dimensions.items()
+            if abs(cause.values.get(DIMENSION + name, 0.0)) > 2.0 * DIMENSION_TOLERANCE
+        ]
+        return f"[joint] {'; '.join(changed) or 'its dimensions'}"
+    size = f"{cause.move_mm:.1f} mm and {cause.turn_deg:.1f}°"
+    named = {
+        LASER: f"[laser] plane_in_tool is {size} off",
+        SENSOR: f"[camera.pose_in_tool] and [laser] plane_in_tool are together {size} off",
+        CAMERA: f"[camera.pose_in_tool] is {size} off",
+        PART: f"the part's seam lies {SeamPlace(cause.values['seam_y'], cause.values['seam_z'])}",
+    }
+    return named[cause.name]
+
+
+def _with_part_moved(setup: Setup, cause: Cause) -> Setup:
+    """Return a setup whose nominal seam lies where a cause puts the part."""
+    normal = np.asarray(setup.joint.surface_normal_in_base)
+    points = np.asarray(setup.joint.seam_in_base_mm)
+    to_left = cross(normal, points[-1] - points[0])
+    moved = (
+        points + cause.values["seam_y"] * to_left / np.linalg.norm(to_left) + cause.values["seam_z"] * normal
+    )
+    seam = tuple((float(x), float(y), float(z)) for x, y, z in moved)
+    return replace(setup, joint=replace(setup.joint, seam_in_base_mm=seam))
+
 
 MAX_FITTED = 6
 """Number of common mistakes whose evidence is computed: those that lay most of the lines on the joint."""

@@ -1,6 +1,7 @@
 """Measurements in some frames against what the setup states, with a warning where they differ."""
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -8,13 +9,44 @@ import numpy as np
 
 from arctrack.check.look import CheckedFrame
 from arctrack.check.seam_place import SeamPlace
-from arctrack.check.sensor_seen import SensorReading
-from arctrack.check.stated_speckle import stated_contrast
+from arctrack.check.sensor_seen import SensorReading, median
 from arctrack.check.timing import Timing
+from arctrack.recording.schema import keys_of
+from arctrack.recording.setup_model import RecordingToml
+from noise_model.compiled.arrays import Float64
+from noise_model.effects import checked
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
 from tracker import flags
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
+
+
+def stated_contrast(setup: Setup, width_px: float) -> float:
+    """Return the contrast of a stripe's brightness, relative, at a 1 sigma of its width; 0 for no speckle.
+
+    The field's logarithm is a Gaussian's (`noise_model.effects`): pixels x apart correlate by
+
+        rho = (exp(s^2 exp(-x^2 / 4 grain^2)) - 1) / C^2,  s^2 = ln(1 + C^2).
+
+    A profile of sigma w averages 2 sqrt(pi) w pixels; their number over the sum of rho are independent, each
+    with scatter C.
+    """
+    speckle = checked(setup.effects).get("laser_speckle")
+    if speckle is None:
+        return 0.0
+    contrast, grain_px = speckle["contrast"], speckle["grain_px"]
+    if contrast == 0.0 or not math.isfinite(width_px):
+        return contrast
+    reach = math.ceil(12.0 * grain_px)
+    alike = float(likeness(np.arange(-reach, reach + 1.0), contrast, grain_px).sum())
+    return contrast * min(1.0, math.sqrt(alike / (2.0 * math.sqrt(math.pi) * width_px)))
+
+
+def likeness(apart_px: Float64, contrast: float, grain_px: float) -> Float64:
+    """Return the correlation rho (...) of pixels that far apart."""
+    rho = np.exp(-(apart_px**2) / (4.0 * grain_px**2))
+    return np.asarray(np.expm1(math.log1p(contrast**2) * rho) / contrast**2)
+
 
 FAR_MM = 3.0
 """A seam farther from its nominal line, in the median, comes near to where it is not looked for."""
@@ -126,7 +158,7 @@ def _seam(geometry: SensorGeometry, valid: Sequence[CheckedFrame]) -> Iterator[S
     """Yield where the seam lies relative to its nominal line, and how the stripe runs there."""
     if not valid:
         return
-    y_mm, z_mm = (_median(look.seam_mm[axis] for look in valid) for axis in (0, 1))
+    y_mm, z_mm = (median(look.seam_mm[axis] for look in valid) for axis in (0, 1))
     where = SeamPlace(y_mm, z_mm)
     far = max(abs(y_mm), abs(z_mm)) > FAR_MM
     cure = "correct [joint] seam_in_base_mm, or the poses' base frame"
@@ -135,7 +167,7 @@ def _seam(geometry: SensorGeometry, valid: Sequence[CheckedFrame]) -> Iterator[S
         f"{where}, in the median; sought within {SEARCH_REACH_MM:g} mm",
         f"the seam lies {where}, and is sought within {SEARCH_REACH_MM:g} mm; {cure}" if far else None,
     )
-    course_px = _median(look.course_px for look in valid)
+    course_px = median(look.course_px for look in valid)
     if math.isnan(course_px):
         return
     off = f"{course_px:.2g} px, {course_px / geometry.pixels_per_mm:.2g} mm,"
@@ -149,20 +181,20 @@ def _seam(geometry: SensorGeometry, valid: Sequence[CheckedFrame]) -> Iterator[S
 def _stripe(valid: Sequence[CheckedFrame], exposures_fit: bool) -> Iterator[SetupFinding]:
     """Yield the stripe's width, brightness and saturated share."""
     looks = _without_arc(valid)
-    sigma_px = _median(look.seen.sigma_px for look in looks)
-    expected_px = _median(float(np.median(look.placed.sigma_px)) for look in looks if look.placed is not None)
+    sigma_px = median(look.seen.sigma_px for look in looks)
+    expected_px = median(float(np.median(look.placed.sigma_px)) for look in looks if look.placed is not None)
     if math.isfinite(sigma_px) and math.isfinite(expected_px):
         text = f"1 sigma {sigma_px:.3g} px, expected {expected_px:.3g} px"
         cure = "do [laser] stripe_sigma_mm, [camera] psf_sigma_px and fx, fy hold, and is the lens in focus?"
         parted = _part(sigma_px, expected_px, WIDTH_RATIO)
         yield SetupFinding("width", text, f"the stripe's width is {text}; {cure}" if parted else None)
-    share = _median(look.seen.saturated_share for look in looks)
+    share = median(look.seen.saturated_share for look in looks)
     if share > 0.0:
         text = f"{_percent(share)} of the stripe's scan lines are saturated"
         cure = "shorten the exposure, or close the aperture"
         yield SetupFinding("saturation", text, f"{text}; {cure}" if share > MAX_SATURATED else None)
-    peak_e = _median(look.seen.peak_e for look in looks)
-    predicted_e = _median(look.peak_e for look in looks if math.isfinite(look.seen.peak_e))
+    peak_e = median(look.seen.peak_e for look in looks)
+    predicted_e = median(look.peak_e for look in looks if math.isfinite(look.seen.peak_e))
     if math.isfinite(peak_e) and math.isfinite(predicted_e):
         text = f"{peak_e:.0f} e over its background, expected {predicted_e:.0f} e"
         cure = "do [laser] peak_e, [camera] exposure_s, [sensor] gain_e_per_dn and gamma hold?"
@@ -173,10 +205,10 @@ def _stripe(valid: Sequence[CheckedFrame], exposures_fit: bool) -> Iterator[Setu
 def _speckle(setup: Setup, valid: Sequence[CheckedFrame]) -> Iterator[SetupFinding]:
     """Yield the scatter of the stripe's brightness along it."""
     looks = _without_arc(valid)
-    contrast = _median(look.seen.contrast for look in looks)
+    contrast = median(look.seen.contrast for look in looks)
     if math.isnan(contrast):
         return
-    stated = stated_contrast(setup, _median(look.seen.sigma_px for look in looks))
+    stated = stated_contrast(setup, median(look.seen.sigma_px for look in looks))
     if stated == 0.0:
         # The tracker learns what no setup states.
         yield SetupFinding("speckle", f"{contrast:.2f} from scan line to scan line, not stated", None)
@@ -223,7 +255,7 @@ def _arc(setup: Setup, looks: Sequence[CheckedFrame], exposures_fit: bool) -> It
         return
     dark = sum(bool(look.track.flags & flags.ARC_OFF.mask) for look in lit)
     unexplained = sum(bool(look.track.flags & flags.MAP_MISFIT.mask) for look in lit)
-    level = _median(look.track.arc_level for look in lit if not look.track.flags & flags.MAP_MISFIT.mask)
+    level = median(look.track.arc_level for look in lit if not look.track.flags & flags.MAP_MISFIT.mask)
     light = f"{level:.2g} times the expected light" if math.isfinite(level) else "its light cannot be told"
     text = f"{light}, map_misfit in {unexplained} of {len(lit)} frames"
     warning = None
@@ -253,11 +285,17 @@ def _part(measured: float, expected: float, ratio: float) -> bool:
     return measured > ratio * expected or expected > ratio * measured
 
 
-def _median(values: Iterable[float]) -> float:
-    """Return the median of the values that are known, NaN for none."""
-    known = [value for value in values if math.isfinite(value)]
-    return float(np.median(known)) if known else math.nan
-
-
 def _percent(share: float) -> str:
     return f"{100.0 * share:.0f} %"
+
+
+def named_keys(texts: Iterable[str]) -> dict[str, str]:
+    """Return what each key of a setup is that texts name as `[table] key, key`."""
+    stated = {(key.table, key.name): key.explanation for key in keys_of(RecordingToml)}
+    named = (
+        (table, name)
+        for text in texts
+        for table, names in re.findall(r"\[([\w.]+)\] (\w+(?:(?:,| and|, and) \w+)*)", text)
+        for name in re.split(r",? and |, ", names)
+    )
+    return {f"[{table}] {name}": stated[table, name] for table, name in named if (table, name) in stated}

@@ -1,7 +1,7 @@
 """Black level and noise of a sensor where no light falls on it, from its darkest frames."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,3 +72,9 @@ def _noise(image_dn: Integers, mask: Bool) -> float:
             return math.nan
         off = off[np.abs(off - off.mean()) <= max(CLIP_SIGMAS * float(off.std()), 1.0)]
     return float(off.std()) / math.sqrt(2.0)
+
+
+def median(values: Iterable[float]) -> float:
+    """Return the median of the values that are known, NaN for none."""
+    known = [value for value in values if math.isfinite(value)]
+    return float(np.median(known)) if known else math.nan

@@ -17,8 +17,7 @@ from arctrack.cli.doctor import doctor
 from arctrack.cli.exit_codes import BAD_INPUT, INTERRUPTED
 from arctrack.cli.explain import explain
 from arctrack.cli.find import find
-from arctrack.cli.group import CommandGroup, UnexpectedEndError
-from arctrack.cli.help_text import reflow
+from arctrack.cli.group import CommandGroup, UnexpectedEndError, reflow
 from arctrack.cli.import_files import import_files
 from arctrack.cli.inspect import inspect
 from arctrack.cli.interrupt import InterruptedCommandError

@@ -28,8 +28,14 @@ def bead(
     a bead within the limits, 1 if not, 3 if none shows one.
     """
     look_at_recordings([recording], None)
-    from arctrack.bead.page import VERDICTS, bead_page
-    from arctrack.bead.seam_result import Evaluation, measured_slices, read_limits, seam_result
+    from arctrack.bead.seam_result import (
+        VERDICTS,
+        Evaluation,
+        bead_page,
+        measured_slices,
+        read_limits,
+        seam_result,
+    )
     from arctrack.calibrate.page import render
     from arctrack.cli import console
     from arctrack.cli.exit_codes import NOTHING_TRACKED, WARNED

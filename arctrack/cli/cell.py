@@ -81,8 +81,7 @@ def run(
     from arctrack.cli import console
     from arctrack.output import make_folder
     from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
-    from arctrack.simulation.cell.weld.run_file import RUN_CSV, write_run
-    from arctrack.simulation.cell_run_picture import RUN_PICTURE, draw_run
+    from arctrack.simulation.cell_run_files import RUN_CSV, RUN_PICTURE, draw_run, write_run
 
     plan = LoopPlan(
         joint=joint.value,

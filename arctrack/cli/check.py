@@ -40,7 +40,7 @@ def check(
     look_at_recording(recording, setup)
     from arctrack.check.check_picture import draw
     from arctrack.check.check_recording import check_recording
-    from arctrack.check.named_keys import named_keys
+    from arctrack.check.findings import named_keys
     from arctrack.cli import console
     from arctrack.cli.exit_codes import NOTHING_TRACKED, WARNED
     from arctrack.recording import read_recording

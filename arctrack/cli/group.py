@@ -1,12 +1,30 @@
-"""The root of the command line: moved commands, and errors that click would end with exit code 1."""
+"""The root of the command line: moved commands, errors that click would end with exit code 1, help texts."""
 
+import inspect
 from pathlib import Path
 from typing import Any
 
+import typer
 from typer.core import TyperGroup
 
 from arctrack.cli.interrupt import InterruptedCommandError, lost_interrupts
 from arctrack.errors import ArctrackError
+
+
+def reflow(app: typer.Typer) -> None:
+    """Take the breaks within paragraphs out of the helps of all commands of an app, and of its groups."""
+    for command in app.registered_commands:
+        if command.callback is not None:
+            command.help = paragraphs(command.help or inspect.getdoc(command.callback) or "")
+    for group in app.registered_groups:
+        if group.typer_instance is not None:
+            reflow(group.typer_instance)
+
+
+def paragraphs(text: str) -> str:
+    """Return a text with each of its paragraphs on a line."""
+    return "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))
+
 
 MOVED = {
     ("figures",): "python -m validation.figures",

@@ -26,8 +26,7 @@ def inspect(
     and the robot's path.
     """
     look_at_recording(recording)
-    from arctrack.check.inspection import draw
-    from arctrack.check.survey import survey
+    from arctrack.check.survey import draw, survey
     from arctrack.cli import console
     from arctrack.cli.inspect_text import print_survey, survey_json
     from arctrack.output import make_folder, writing

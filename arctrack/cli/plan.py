@@ -171,8 +171,7 @@ def _plan(source: Path, setup: Setup, options: PlanOptions, poses: list[Float64]
 
 
 def _write(made: Plan, torch_radius_mm: float, out: Path) -> None:
-    from arctrack.plan.plan_files import PATH_PICTURE, PLAN_PICTURE, write_tables
-    from arctrack.plan.plan_pictures import draw_designs, draw_path
+    from arctrack.plan.plan_files import PATH_PICTURE, PLAN_PICTURE, draw_designs, draw_path, write_tables
 
     write_tables(made, out)
     pictures = {PLAN_PICTURE: draw_designs(made, torch_radius_mm), PATH_PICTURE: draw_path(made)}

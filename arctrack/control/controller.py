@@ -9,15 +9,14 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 
-from arctrack.control import track_messages
+from arctrack.control import tracker_messages
 from arctrack.control.bus_delay import BusDelay
 from arctrack.control.find_responder import FindResponder, JointFinder
-from arctrack.control.heartbeat import HeartbeatSchedule
 from arctrack.control.job import NO_JOB, Job
 from arctrack.control.part_fitness import PartWatch
 from arctrack.control.policy import ServicePolicy
 from arctrack.control.robot_messages import OutageWatch, TimedMessage, fresh
-from arctrack.control.track_messages import NO_TRACK, UNKNOWN_POINT, has
+from arctrack.control.tracker_messages import NO_TRACK, UNKNOWN_POINT, HeartbeatSchedule, has
 from noise_model.compiled.arrays import Float64
 from robot_io import (
     BusMessage,
@@ -243,7 +242,11 @@ class Controller:
         self._judge_part(track, T_base_tool, now_s)
         conditions = self._conditions(track, now_s)
         decision = decide(
-            track_messages.proposal(track, self._zero_mm), conditions, self.job.limits, self._last_sent, now_s
+            tracker_messages.proposal(track, self._zero_mm),
+            conditions,
+            self.job.limits,
+            self._last_sent,
+            now_s,
         )
         self.gate_reason = decision.reason
         self._sent_before, self._last_sent = self._last_sent, decision.last_sent
@@ -255,9 +258,9 @@ class Controller:
         return [
             *self._due(now_s),
             decision.message,
-            track_messages.seam_point(track, T_base_tool),
-            track_messages.geometry(track, JointType[self.job.joint_type.upper()]),
-            track_messages.status(
+            tracker_messages.seam_point(track, T_base_tool),
+            tracker_messages.geometry(track, JointType[self.job.joint_type.upper()]),
+            tracker_messages.status(
                 track, self._state, decision.reason, conditions.robot is None, latency_ms, self._dropped
             ),
         ]
@@ -321,7 +324,7 @@ class Controller:
         return [
             _REFUSED,
             UNKNOWN_POINT,
-            track_messages.status(self._track, self._state, reason, is_stale, NAN, self._dropped),
+            tracker_messages.status(self._track, self._state, reason, is_stale, NAN, self._dropped),
         ]
 
     def _conditions(self, track: Track, now_s: float, is_camera_stopped: bool = False) -> Conditions:
@@ -419,7 +422,7 @@ class Controller:
             self._find.ask(command, now_s)
         elif command.command is Command.STORE_ZERO:
             # Whether the first request after the start is a new one, nobody knows.
-            zero_mm = track_messages.displacement(
+            zero_mm = tracker_messages.displacement(
                 self._track, self.job.limits, self.job.correction.enabled, now_s
             )
             self._request_result = RequestResult.REFUSED

@@ -9,7 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from PIL import Image
 
-from arctrack.report.data_uri import uri
+from arctrack.report.image import uri
 from noise_model.compiled.arrays import Float32, UInt8
 
 CHANGE, EXCESS, SCALE_PX = "RdBu_r", "viridis", 256

@@ -1,5 +1,6 @@
 """Frames as people want to see them: dark things visible, stripe and seam drawn over them."""
 
+import base64
 import io
 
 import cv2
@@ -13,6 +14,11 @@ from noise_model.instrument.sensor import Sensor
 from noise_model.setup import Setup
 from noise_model.transforms import invert, transform
 from tracker.state import Frame, Stripe, Track
+
+
+def uri(kind: str, content: bytes) -> str:
+    """Return a file's content as a data URI."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def visible(image_dn: npt.NDArray[np.integer | np.floating], sensor: Sensor) -> UInt8:

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from arctrack.check.check_sample import CheckCase, case_of, chosen_rows
 from arctrack.check.explanations import WeighedCause, explanations, harmless, likely_causes
+from arctrack.check.findings import named_keys
 from arctrack.check.hint import hint_of, likely_mistake
-from arctrack.check.named_keys import named_keys
 from arctrack.cli import app
 from arctrack.cli.exit_codes import BAD_INPUT, NOTHING_TRACKED
 from arctrack.errors import ArctrackError

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import arctrack
 from arctrack.cli import app, console
-from arctrack.cli.help_text import paragraphs
+from arctrack.cli.group import paragraphs
 from arctrack.cli.plan import COUNTED
 from arctrack.cli.plan_text import print_plan
 from arctrack.nominal import nominal_setup

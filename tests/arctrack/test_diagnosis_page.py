@@ -16,9 +16,7 @@ from made import small_setup
 
 from arctrack.diagnose.diagnosis_files import report, write_numbers
 from arctrack.diagnose.pages import words
-from arctrack.diagnose.pages.advice import ADVICE
-from arctrack.diagnose.pages.page import RECOMPUTE, advice, page
-from arctrack.diagnose.pages.pictures import nice_limit, telling_frame
+from arctrack.diagnose.pages.page import ADVICE, RECOMPUTE, advice, nice_limit, page, telling_frame
 from arctrack.recording import Recording, read_recording
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup

@@ -23,8 +23,7 @@ from arctrack.recording import Recording, read_recording
 from arctrack.replay.explain import Explanation, explain
 from arctrack.replay.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, READ, TOO_WEAK, refusals, sigma_parts
 from arctrack.replay.explain_pages import words
-from arctrack.replay.explain_pages.page import page, telling_lines
-from arctrack.replay.explain_pages.pictures import marks, path
+from arctrack.replay.explain_pages.page import marks, page, path, telling_lines
 from arctrack.replay.explain_pages.plots import FLOOR, PARTS, sigma_picture
 from arctrack.replay.replay import ReplayOptions, replay_recording
 from arctrack.simulation.simulate import SimulationPlan, simulate_recording

@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.nominal import nominal_setup
-from arctrack.plan.plan_files import write_tables
-from arctrack.plan.plan_pictures import draw_designs, draw_path
+from arctrack.plan.plan_files import draw_designs, draw_path, write_tables
 from arctrack.recording import format_setup
 from arctrack.simulation.simulate import balance
 from noise_model.plan.plan import Plan, PlanOptions, make_plan

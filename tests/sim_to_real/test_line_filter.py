@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from sim_to_real.variance.line_filter import KERNELS, N_ANGLES, NOISE_GAIN, line_response
+from sim_to_real.variance.streaks import KERNELS, N_ANGLES, NOISE_GAIN, line_response
 
 SHAPE = (60, 80)
 

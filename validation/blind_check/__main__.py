@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from arctrack.cli import run_app
-from arctrack.cli.group import CommandGroup
-from arctrack.cli.help_text import reflow
+from arctrack.cli.group import CommandGroup, reflow
 from arctrack.cli.options import Workers
 from arctrack.errors import in_file
 

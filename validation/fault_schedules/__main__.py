@@ -8,7 +8,7 @@ import typer
 
 from arctrack.cli import console, run_app
 from arctrack.cli.exit_codes import WARNED
-from arctrack.cli.help_text import reflow
+from arctrack.cli.group import reflow
 from validation.fault_schedules.schedules import executor, run_schedule, run_schedules
 from validation.fault_schedules.table import failures, table
 

@@ -7,8 +7,8 @@ from enum import Enum
 from pathlib import Path
 
 from arctrack.simulation.cell.bus import BusFrame
+from arctrack.simulation.cell.cell import Shown, TrackerNode
 from arctrack.simulation.cell.robot_node import as_message
-from arctrack.simulation.cell.tracker_node import Shown, TrackerNode
 from robot_io import BusMessage, SeamOffset
 from robot_io.link.reconnecting import LinkFault
 from robot_io.link.steady_log import SteadyLog

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from arctrack.simulation.cell.bus import Bus, BusFrame
-from arctrack.simulation.cell.cell import Cell
+from arctrack.simulation.cell.cell import Cell, SimulatedCamera, TrackerNode
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.robot_node import RobotNode
-from arctrack.simulation.cell.tracker_node import SimulatedCamera, TrackerNode
 from arctrack.simulation.cell.world import World
 from robot_io import GateReason, Received, SeamOffset, TrackerStatus, Validity
 from validation.fault_schedules.faulty_bus import FaultyBus

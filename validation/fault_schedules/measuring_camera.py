@@ -7,8 +7,8 @@ import numpy as np
 
 from arctrack.control.frame_tracking import Capture, TrackedFrame
 from arctrack.control.innovation import SeamMeasurement
+from arctrack.simulation.cell.cell import COMPUTED_S, Shown
 from arctrack.simulation.cell.robot import Robot
-from arctrack.simulation.cell.tracker_node import COMPUTED_S, Shown
 from robot_io import PoseAt, PoseStatus
 from tracker import flags
 from tracker.seam.gaussian_process import SeamHistory

@@ -1,14 +1,14 @@
 """The quantities of sensor, stripe and arc: how bright things are, how they scatter, how wide they look."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from arctrack.calibrate.check.measure import LightStage, Measure, SetupVerdict, judged
 from arctrack.check.look import CheckedFrame
-from arctrack.check.sensor_seen import SensorReading
+from arctrack.check.sensor_seen import SensorReading, median
 from calibration.check.arc_light import ArcLightCheck
 from noise_model.setup import Setup
 
@@ -93,7 +93,7 @@ def stripe_measures(setup: Setup, looks: Sequence[CheckedFrame], first: str) -> 
     Where an earlier stage, `first`, is wrong, a departing quantity counts as undetermined.
     """
     seen = [look for look in looks if not look.frame.arc_on] or list(looks)
-    share = _median(look.seen.saturated_share for look in seen)
+    share = median(look.seen.saturated_share for look in seen)
     measures = [
         judged(
             LightStage.STRIPE,
@@ -105,9 +105,9 @@ def stripe_measures(setup: Setup, looks: Sequence[CheckedFrame], first: str) -> 
             "shorten the exposure or close the aperture, then check anew",
         )
     ]
-    width_px = _median(look.seen.sigma_px for look in seen)
+    width_px = median(look.seen.sigma_px for look in seen)
     stripes = [look.placed or look.expected for look in seen]
-    expected_px = _median(float(np.median(stripe.sigma_px)) for stripe in stripes if stripe is not None)
+    expected_px = median(float(np.median(stripe.sigma_px)) for stripe in stripes if stripe is not None)
     width = judged(
         LightStage.STRIPE,
         "width, 1 σ",
@@ -117,7 +117,7 @@ def stripe_measures(setup: Setup, looks: Sequence[CheckedFrame], first: str) -> 
         "px",
         "focus the lens; [laser] stripe_sigma_mm, [camera] psf_sigma_px",
     )
-    ratio = _median(look.seen.peak_e / look.peak_e for look in seen)
+    ratio = median(look.seen.peak_e / look.peak_e for look in seen)
     peak = judged(
         LightStage.STRIPE,
         "peak over the expected one",
@@ -199,9 +199,3 @@ def _after(measure: Measure, first: str) -> Measure:
     if not first or measure.verdict is not SetupVerdict.NOT_EXPLAINED:
         return measure
     return replace(measure, verdict=SetupVerdict.UNTOLD, cure=f"first {first}, then check anew")
-
-
-def _median(values: Iterable[float]) -> float:
-    """Return the median of the values that are known, NaN for none."""
-    known = [value for value in values if math.isfinite(value)]
-    return float(np.median(known)) if known else math.nan

@@ -11,8 +11,7 @@ from arctrack.recording import Truth
 from arctrack.replay.explain import arc_light
 from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from arctrack.replay.pages.overlay import picture_of
-from arctrack.report.data_uri import uri
-from arctrack.report.image import frame_picture, jpeg, project_tool_point, shrunk, visible
+from arctrack.report.image import frame_picture, jpeg, project_tool_point, shrunk, uri, visible
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene
 from noise_model.compiled.arrays import Bool, Float64, UInt8

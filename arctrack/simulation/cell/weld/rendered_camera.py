@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from arctrack.control.frame_tracking import Capture, FrameTracking, TrackedFrame
+from arctrack.simulation.cell.cell import COMPUTED_S, Shown
 from arctrack.simulation.cell.robot import Robot
-from arctrack.simulation.cell.tracker_node import COMPUTED_S, Shown
 from arctrack.simulation.turning_seam import TurningSeam
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64, Integers

@@ -23,8 +23,7 @@ from arctrack.control.cell_file import CameraChoice, CaptureChoice
 from arctrack.errors import ArctrackError
 from arctrack.live.cameras.camera_line import SLACK_S, CaptureRequest, is_reached, trigger_at_s
 from arctrack.live.cameras.capture.device import DeviceSource
-from arctrack.live.cameras.capture.files import folder_source, video_source
-from arctrack.live.cameras.capture.luma import LumaVideo
+from arctrack.live.cameras.capture.files import LumaVideo, folder_source, video_source
 from arctrack.live.serve.captured_camera import CapturedCamera
 from arctrack.recording.ffv1 import VideoWriter
 

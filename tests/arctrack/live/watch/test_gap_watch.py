@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from arctrack.live.watch.gap_watch import GapPolicy, GapWatch
+from arctrack.live.watch.process import GapPolicy, GapWatch
 from tracker.state import Track
 
 RATE_HZ = 10.0

@@ -1,5 +1,6 @@
-"""A closed loop's run as a picture: seam, torch, offsets, errors and validity over time."""
+"""A closed loop's run as a table of its frames, and as a picture of seam, torch and offsets over time."""
 
+import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,53 @@ from arctrack.output import writing
 from arctrack.report.style import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, new_figure, plain
 from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, ClosedLoopResult, LoopFrame
 from robot_io import Validity
+
+RUN_CSV = "run.csv"
+COLUMNS = (
+    "time_s",
+    "station_mm",
+    "seam_y_mm",
+    "seam_z_mm",
+    "torch_y_mm",
+    "torch_z_mm",
+    "across_mm",
+    "offset_y_mm",
+    "offset_z_mm",
+    "lag_s",
+    "lag_sigma_s",
+    "lead_mm",
+    "validity",
+    "reason",
+    "flags",
+)
+"""Time and place are those at which a frame's offset was sent; `across_mm` is the torch with its weave.
+
+`lag_s` is nan while it is unestimated.
+"""
+
+
+def write_run(path: Path, frames: Sequence[LoopFrame]) -> None:
+    """Write a run's frames; ArctrackError if the file cannot be written."""
+    with writing(path), path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for frame in frames:
+            sample, offset = frame.sample, frame.offset
+            numbers = (
+                sample.time_s,
+                sample.station_mm,
+                *sample.seam_mm,
+                *sample.torch_mm,
+                sample.across_mm,
+                offset.offset_y_mm,
+                offset.offset_z_mm,
+                frame.lag.lag_s,
+                frame.lag.sigma_s,
+                frame.look_ahead.way_mm,
+            )
+            names = (offset.validity.name, frame.reason.name, " ".join(frame.track.flag_names))
+            writer.writerow([*(f"{number:.4f}" for number in numbers), *names])
+
 
 RUN_PICTURE = "run.png"
 VALIDITY_COLOURS = {Validity.VALID: GREEN, Validity.HELD: ORANGE, Validity.REFUSED: VERMILLION}
