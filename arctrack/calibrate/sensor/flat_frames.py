@@ -15,7 +15,7 @@ from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.csv_file import number, read_csv, whole
 from arctrack.recording.files import blamed_on, read_text
-from arctrack.recording.frames import IMPORTED
+from arctrack.recording.frame_hints import IMPORTED
 from arctrack.recording.importing.colours import Channel
 from arctrack.recording.importing.grey import grey
 from arctrack.recording.importing.image_decoder import EncodedImage

@@ -15,7 +15,7 @@ import numpy as np
 from arctrack.errors import ArctrackError, in_file, no_such_path
 from arctrack.limits import LIMITS
 from arctrack.printable import cut
-from arctrack.recording.frames import IMPORTED, VIDEOS
+from arctrack.recording.frame_hints import IMPORTED, VIDEOS
 from arctrack.recording.importing.units import TIME, Units, factor
 from arctrack.recording.time_sources import TimeSource
 from noise_model.compiled.arrays import Float64
