@@ -268,8 +268,10 @@ class BusRotation(BusMessage):
     small_c: float
 
     @classmethod
-    def from_quaternion(cls, quaternion_xyzw: tuple[float, float, float, float], *others: float) -> Self:
-        """Return the message of a unit quaternion x y z w, and of its other fields in their order.
+    def from_quaternion(
+        cls, quaternion_xyzw: tuple[float, float, float, float], *others: float, **named: float
+    ) -> Self:
+        """Return the message of a unit quaternion x y z w, and of its other fields in their order or by name.
 
         Raises ValueError if the quaternion is not finite or its norm is off 1 by more than 0.001.
         """
@@ -279,7 +281,7 @@ class BusRotation(BusMessage):
         largest = max(QuaternionComponent, key=lambda component: abs(quaternion_xyzw[component]))
         factor = math.copysign(1.0 / norm, quaternion_xyzw[largest])
         small = [factor * quaternion_xyzw[c] for c in QuaternionComponent if c is not largest]
-        return cls(largest, *small, *others)
+        return cls(largest, *small, *others, **named)
 
     @property
     def quaternion_xyzw(self) -> tuple[float, float, float, float]:
