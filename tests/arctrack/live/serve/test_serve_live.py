@@ -143,6 +143,9 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
             assert not ear.is_usable()
 
             processes.append(started(TRACKER, *words))
+            before = sum(o.validity is Validity.VALID for o in ear.offsets())
+            # What is killed leaves frames that a replay can follow.
+            ear.listen(lambda: sum(o.validity is Validity.VALID for o in ear.offsets()) >= before + 5)
             ear.listen(ear.is_usable)
             processes[1].kill()
             ear.listen(lambda: not ear.is_usable())
