@@ -67,11 +67,11 @@ SPREAD = 0.1
 TINY_PX = 1e-6
 """Stripes that lie so near to each other are one."""
 
-SIDE_SHARE, SEEN_SIDE_SHARE, SIDE_CORRELATION = 0.1, 0.3, 0.9
+SIDE_SHARE, SEEN_SIDE_SHARE, SIDE_CORRELATION = 0.1, 0.2, 0.9
 """1 sigma of the share that the upright side between two stripes shines of them, and its correlation.
 
 Seen from beside, a side that the laser or light between the faces reaches has 0.05 to 0.2. In lines that it
-covers itself a smooth one shows up to a third of a stripe that it mirrors.
+covers itself a smooth one shows up to a third of a stripe that it mirrors: 0.2 is the rms of what may be.
 """
 
 CENTRE_STEPS = 4
