@@ -9,8 +9,9 @@ import numpy as np
 
 from arctrack.control.find_responder import FRAMES
 from arctrack.live.cameras.shared_frames import FIELDS, pack_fields, unpack_frame
-from arctrack.live.journal.message_pipe import PipeClient, PipeEnd
+from arctrack.live.journal.message_pipe import PipeClient, PipeEnd, message_pipe
 from arctrack.live.journal.ring import RingReader, RingWriter
+from arctrack.live.serve.supervisor import SupervisedProcess
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from tracker import flags
@@ -45,16 +46,26 @@ def frames_ring(run: str, setup: Setup) -> RingWriter:
 
 
 class FindClient:
-    """The loop's end of the process: a `JointFinder` that never waits."""
+    """The loop's end of the process: a `JointFinder` that never waits. `ring` is `frames_ring` of the run."""
 
-    def __init__(self, end: PipeEnd, ring: RingWriter) -> None:
-        self._end, self._pipe, self._ring = end, PipeClient(end), ring
+    def __init__(self, run: str, ring: RingWriter) -> None:
+        self._run, self._ring = run, ring
+        self._end, self._its_end = message_pipe()
+        self._pipe = PipeClient(self._end)
         self._ticket = 0
         self._shown: list[tuple[int, Float64]] = []
 
+    def started(self, setups: Mapping[int, Setup]) -> SupervisedProcess:
+        """Start the process for setups by job number; it imports what it needs until `let_warm_up`."""
+        arguments = self._run, setups, True
+        # Nobody waits for it: the loop comes first.
+        self._process = SupervisedProcess("find", find_joints, arguments, (self._its_end,), 5, lost=LOST)
+        return self._process
+
     def let_warm_up(self) -> None:
-        """Let the process load what is compiled by now."""
+        """Let the process load what is compiled by now; one that is started again has nobody to wait for."""
         self._end.send(None)
+        self._process.arguments = *self._process.arguments[:-1], False
 
     def begin(self) -> None:
         """Forget all frames."""

@@ -25,11 +25,11 @@ from arctrack.live.cameras.camera import CameraProtocol
 from arctrack.live.cameras.recording import RecordingCamera
 from arctrack.live.cameras.shared_frames import SharedFramesError
 from arctrack.live.cameras.shared_memory import SharedMemoryCamera
-from arctrack.live.journal.message_pipe import PipeClient, PipeEnd, message_pipe
+from arctrack.live.journal.message_pipe import PipeClient, message_pipe
 from arctrack.live.journal.ring import RingError
 from arctrack.live.serve.captured_camera import CapturedCamera
 from arctrack.live.serve.exposure import ExposureChooser
-from arctrack.live.serve.find_process import LOST, FindClient, find_joints, frames_ring
+from arctrack.live.serve.find_process import FindClient, frames_ring
 from arctrack.live.serve.journal_processes import JournalProcesses, open_journal
 from arctrack.live.serve.lag_process import estimate_lags
 from arctrack.live.serve.loop import LiveLoop, LiveSeam, LoopResult, OnTrack
@@ -84,29 +84,24 @@ def opened_run(
         # Niceness of the estimate of the robot's lag: nobody waits for it.
         estimating = SupervisedProcess("lag", estimate_lags, (), (its_end,), 5, lost=NOTHING_YET)
         lag = opened.enter_context(supervisor.running(estimating))
-        run_name = str(os.getpid())
-        finder, find_end = opened.enter_context(_finder(cell, run_name))
+        finder = opened.enter_context(_finder(cell))
         parts = run_parts(cell, job_number, PipeClient(lag_end), finder)
         opened.callback(parts.camera.close)
         if isinstance(parts.camera, CapturedCamera):
             opened.enter_context(supervisor.running(parts.camera.process))
         trackers = {number: seam.tracking.tracker for number, seam in parts.seams.items()}
         setups = {number: tracker.geometry.setup for number, tracker in trackers.items()}
-        finding: SupervisedProcess | None = None
-        if parts.source is Source.LIVE:
-            arguments = (run_name, setups, True)
-            finding = SupervisedProcess("find", find_joints, arguments, (find_end,), 5, lost=LOST)
-            opened.enter_context(supervisor.running(finding))
+        asked = [lag]
+        if finder is not None:
+            asked.append(opened.enter_context(supervisor.running(finder.started(setups))))
         journal = opened.enter_context(open_journal(cell, setups, supervisor, is_simulated))
         for tracker in trackers.values():
             with compiled_by_two(tracker.geometry.setup):
                 tracker.warm_up()
-        if finding is not None:
+        if finder is not None:
             finder.let_warm_up()
-            # One that is started again has nobody to wait for.
-            finding.arguments = (run_name, setups, False)
         open_bus = opened.enter_context(_robot_port(cell, supervisor))
-        for process in (lag,) if finding is None else (lag, finding):
+        for process in asked:
             process.wait_ready()
         opened.enter_context(supervisor.watching())
         # Once it is on the bus, a tracker must not wait for anything.
@@ -142,15 +137,18 @@ def opened_run(
 
 
 @contextmanager
-def _finder(cell: CellFile, run_name: str) -> Iterator[tuple[FindClient, PipeEnd]]:
-    """Yield what answers a FIND, and the end of its pipe for the process that does."""
-    end, its_end = message_pipe()
+def _finder(cell: CellFile) -> Iterator[FindClient | None]:
+    """Yield what answers a live robot's FIND, None for a recording's."""
+    if cell.camera.kind == "recording":
+        yield None
+        return
+    run = str(os.getpid())
     try:
-        ring = frames_ring(run_name, cell.setup.setup)
+        ring = frames_ring(run, cell.setup.setup)
     except RingError as error:
         raise in_file(cell.path, f"[camera] frames of a FIND: {error}") from None
     with ring:
-        yield FindClient(end, ring), its_end
+        yield FindClient(run, ring)
 
 
 @contextmanager

@@ -9,8 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from arctrack.live.journal.message_pipe import message_pipe
-from arctrack.live.serve.find_process import LOST, FindClient, find_joints, frames_ring
+from arctrack.live.serve.find_process import FindClient, frames_ring
 from arctrack.live.serve.supervisor import SupervisedProcess
 from arctrack.recording import read_recording
 from tracker.find import Finder, FoundJoint, find_joint
@@ -22,16 +21,13 @@ def test_a_process_finds_the_joint_of_its_frames_and_so_does_the_one_after_it() 
     recording = read_recording("examples/v_groove")
     shown = list(recording.posed(recording.readable_frames()[0]))[2:7]
     expected = find_joint(Finder(SensorGeometry.of(recording.setup)), shown)
-    run, (end, its_end) = f"test-{os.getpid()}", message_pipe()
+    run = f"test-{os.getpid()}"
     with frames_ring(run, recording.setup) as ring:
-        client = FindClient(end, ring)
-        process = SupervisedProcess(
-            "find", find_joints, (run, {1: recording.setup}, True), (its_end,), lost=LOST
-        )
+        client = FindClient(run, ring)
+        process = client.started({1: recording.setup})
         try:
             client.let_warm_up()
             process.wait_ready()
-            process.arguments = (run, {1: recording.setup}, False)
             # A request that is withdrawn: its answer is dropped.
             client.begin()
             client.keep(shown[0][0], shown[0][1].T_base_tool)
