@@ -9,8 +9,11 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -99,6 +102,28 @@ class Ear:
     def offsets(self) -> list[SeamOffset]:
         return [message for message in self.messages if isinstance(message, SeamOffset)]
 
+    def valid(self) -> list[SeamOffset]:
+        return [offset for offset in self.offsets() if offset.validity is Validity.VALID]
+
+
+@contextmanager
+def served(
+    multicast: dict[str, Any], folder: Path, plan: LoopPlan
+) -> Iterator[tuple[SimulatedCell, Ear, subprocess.Popen]]:
+    """Yield a simulated cell, what is heard on its bus, and the tracker in a process of its own."""
+    name = f"{folder.name}-{os.getpid()}"
+    cell = write_simulated_cell(folder / "cell", plan, INTERFACE, GROUP, name)
+    with (
+        SimulatedCell(plan, name) as robot,
+        can.Bus(**(multicast | robot.bus_options), ignore_config=True) as bus,
+    ):
+        ear, process = Ear(bus), started(TRACKER, str(cell), str(robot.bus_options["port"]))
+        try:
+            yield robot, ear, process
+        finally:
+            process.kill()
+            process.communicate()
+
 
 def started(script: str, *words: str) -> subprocess.Popen:
     command = [sys.executable, "-c", textwrap.dedent(script), *words]
@@ -120,7 +145,7 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
         ):
             ear, words = Ear(bus), (str(cell), str(robot.bus_options["port"]))
             processes.append(started(TRACKER, *words))
-            ear.listen(lambda: sum(o.validity is Validity.VALID for o in ear.offsets()) >= 20)
+            ear.listen(lambda: len(ear.valid()) >= 20)
             ear.listen(ear.is_usable)
             _check_offsets(ear)
 
@@ -143,9 +168,9 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
             assert not ear.is_usable()
 
             processes.append(started(TRACKER, *words))
-            before = sum(o.validity is Validity.VALID for o in ear.offsets())
+            before = len(ear.valid())
             # What is killed leaves frames that a replay can follow.
-            ear.listen(lambda: sum(o.validity is Validity.VALID for o in ear.offsets()) >= before + 5)
+            ear.listen(lambda: len(ear.valid()) >= before + 5)
             ear.listen(ear.is_usable)
             processes[1].kill()
             ear.listen(lambda: not ear.is_usable())
@@ -166,73 +191,48 @@ def test_a_robot_follows_offsets_of_another_process_until_that_ends_or_is_killed
 @pytest.mark.slow
 @pytest.mark.usefixtures("compiled")
 def test_a_robot_that_turns_on_a_circle_follows_the_offsets_of_another_process(multicast, tmp_path: Path):
-    name, plan = f"circle-{os.getpid()}", replace(PLAN, path="circle:60", length_mm=200.0, displaced_mm=1.0)
-    cell = write_simulated_cell(tmp_path / "cell", plan, INTERFACE, GROUP, name)
-    process = None
-    try:
-        with (
-            SimulatedCell(plan, name) as robot,
-            can.Bus(**(multicast | robot.bus_options), ignore_config=True) as bus,
-        ):
-            ear = Ear(bus)
-            process = started(TRACKER, str(cell), str(robot.bus_options["port"]))
-            ear.listen(lambda: sum(o.validity is Validity.VALID for o in ear.offsets()) >= 20, 240.0)
-            samples = robot.stop()
-        # The part lies 1 mm to the left of the start and 1 mm along it.
-        assert samples[0][1] == pytest.approx(1.0)
-        assert min(off_mm for _, off_mm in samples) < 0.2
-        valid = [o for o in ear.offsets() if o.validity is Validity.VALID]
-        # What is to the left turns with the robot: of such a part no more than its whole displacement.
-        assert max(abs(o.offset_y_mm) for o in valid) < 2.0**0.5 + 0.3
-    finally:
-        if process is not None:
-            process.kill()
-            process.communicate()
+    plan = replace(PLAN, path="circle:60", length_mm=200.0, displaced_mm=1.0)
+    with served(multicast, tmp_path, plan) as (robot, ear, _):
+        ear.listen(lambda: len(ear.valid()) >= 20, 240.0)
+        samples = robot.stop()
+    # The part lies 1 mm to the left of the start and 1 mm along it.
+    assert samples[0][1] == pytest.approx(1.0)
+    assert min(off_mm for _, off_mm in samples) < 0.2
+    # What is to the left turns with the robot: of such a part no more than its whole displacement.
+    assert max(abs(o.offset_y_mm) for o in ear.valid()) < 2.0**0.5 + 0.3
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("compiled")
 def test_a_robot_that_asks_is_told_where_the_joint_is_and_then_follows_it(multicast, tmp_path: Path):
-    name, plan = f"find-{os.getpid()}", replace(PLAN, finds_first=True)
-    cell = write_simulated_cell(tmp_path / "cell", plan, INTERFACE, GROUP, name)
-    process = None
-    try:
-        with (
-            SimulatedCell(plan, name) as robot,
-            can.Bus(**(multicast | robot.bus_options), ignore_config=True) as bus,
-        ):
-            ear = Ear(bus)
-            process = started(TRACKER, str(cell), str(robot.bus_options["port"]))
-            ear.listen(lambda: any(answer.is_found for answer in ear.answers), 180.0)
-            ear.listen(ear.is_usable)
-            process.send_signal(signal.SIGTERM)
-            ear.listen(lambda: process.poll() is not None)
-            assert process.stdout.read().splitlines()[-1] == "after ready: loaded [], compiled 0"
-            robot.stop()
-        # A machine that is busy delays the bus: then the robot asks again, and each is answered once.
-        *refused, answer = ear.answers
-        assert not any(each.is_found for each in refused)
-        numbers = [each.result.request_number for each in ear.answers]
-        assert len(set(numbers)) == len(numbers)
-        result, position, rotation = answer.result, answer.position, answer.rotation
-        assert result.refusal is FindRefusal.NONE
-        asked = [m for m in ear.messages if isinstance(m, TrackerCommand) and m.command is Command.FIND]
-        assert {m.request_number for m in asked} == set(numbers)
-        beats = [m for m in ear.messages if isinstance(m, TrackerHeartbeat)]
-        assert (result.request_number, RequestResult.DONE) in {
-            (beat.request_number, beat.request_result) for beat in beats
-        }
-        # The seam lies to the left of the path, along x, and the robot stands where its path begins.
-        assert position.y_mm == pytest.approx(plan.displaced_mm, abs=max(0.1, 3.0 * result.sigma_y_mm))
-        assert 0.0 < result.sigma_y_mm < 0.5
-        along, _, up = Rotation.from_quat(rotation.quaternion_xyzw).as_matrix().T
-        assert along[0] > 0.99
-        assert up[2] > 0.99
-        assert math.isnan(rotation.direction_sigma_deg)
-    finally:
-        if process is not None:
-            process.kill()
-            process.communicate()
+    plan = replace(PLAN, finds_first=True)
+    with served(multicast, tmp_path, plan) as (robot, ear, process):
+        ear.listen(lambda: any(answer.is_found for answer in ear.answers), 180.0)
+        ear.listen(ear.is_usable)
+        process.send_signal(signal.SIGTERM)
+        ear.listen(lambda: process.poll() is not None)
+        assert process.stdout.read().splitlines()[-1] == "after ready: loaded [], compiled 0"
+        robot.stop()
+    # A machine that is busy delays the bus: then the robot asks again, and each is answered once.
+    *refused, answer = ear.answers
+    assert not any(each.is_found for each in refused)
+    numbers = [each.result.request_number for each in ear.answers]
+    assert len(set(numbers)) == len(numbers)
+    result, position, rotation = answer.result, answer.position, answer.rotation
+    assert result.refusal is FindRefusal.NONE
+    asked = [m for m in ear.messages if isinstance(m, TrackerCommand) and m.command is Command.FIND]
+    assert {m.request_number for m in asked} == set(numbers)
+    beats = [m for m in ear.messages if isinstance(m, TrackerHeartbeat)]
+    assert (result.request_number, RequestResult.DONE) in {
+        (beat.request_number, beat.request_result) for beat in beats
+    }
+    # The seam lies to the left of the path, along x, and the robot stands where its path begins.
+    assert position.y_mm == pytest.approx(plan.displaced_mm, abs=max(0.1, 3.0 * result.sigma_y_mm))
+    assert 0.0 < result.sigma_y_mm < 0.5
+    along, _, up = Rotation.from_quat(rotation.quaternion_xyzw).as_matrix().T
+    assert along[0] > 0.99
+    assert up[2] > 0.99
+    assert math.isnan(rotation.direction_sigma_deg)
 
 
 def _check_black_boxes(folder: Path) -> None:
