@@ -23,6 +23,7 @@ from tracker.joint.measured import section_at, shift_of
 from tracker.joint.plate_lines import SLACK_MM
 from tracker.observation import MIN_HELD_SHARE, WHOLE_SHARE, Aim, FrameInput, section_of
 from tracker.profile import MIN_POINTS, EdgeAlongSeam, Section, triangulate
+from tracker.seam.locate import straightened
 from tracker.state import (
     AMPLITUDE_E,
     BESIDE_PX,
@@ -90,7 +91,9 @@ def observe_profile(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> P
     frame_checks.ask(checks.STRIPE_WHOLE, share, WHOLE_SHARE)
     section = section_of(geometry, aim, seen_points, NO_LIGHT)
     left_out = triangulate(geometry.stripe_source, aim.scene, reading.left_out, edge)
-    off_trace = section_of(geometry, aim, left_out, NO_LIGHT).points
+    off_trace = straightened(
+        geometry.seam_source, aim.scene, aim.seam.station_mm, aim.reach_mm, left_out.points
+    )
     return seen._replace(section=section._replace(off_trace=off_trace, n_columns=reading.lines.shape[1]))
 
 
