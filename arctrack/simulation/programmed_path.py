@@ -148,5 +148,9 @@ class ProgrammedPath:
         return replace(joint, seam_in_base_mm=self.points_base_mm, surface_normals_in_base=self.normals_base)
 
     def _turned(self, angle_rad: float) -> Float64:
-        turn = Rotation.from_euler("ZX", [math.degrees(angle_rad), self.roll_deg], degrees=True)
-        return np.asarray(turn.as_matrix())
+        cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ self._rolled
+
+    @cached_property
+    def _rolled(self) -> Float64:
+        return np.asarray(Rotation.from_euler("X", self.roll_deg, degrees=True).as_matrix())
