@@ -35,7 +35,7 @@ from noise_model.setup import Setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.surface.joint import SeamLine, corrugation_height, seam_frame, section
 from noise_model.transforms import cross, invert, moved, transform
-from tracker.geometry import to_laser_plane
+from tracker.geometry import calibration_moves, to_laser_plane
 from tracker.seam.curve import BEND_LENGTH_MM, BEND_MM
 
 BINS_A_FRAME, MIN_IN_BIN = 16, 3
@@ -386,7 +386,34 @@ class _StripePlaceProblem:
         def residuals(x: Float64) -> Float64:
             return self.residuals(dict(zip(names, x, strict=True)))
 
-        return fit(parameters, residuals, HUBER, start=start, min_gain_rel=1e-4)
+        def derivatives(x: Float64) -> Float64:
+            steps = {parameter.name: parameter.step for parameter in parameters}
+            return self._derivatives(dict(zip(names, x, strict=True)), steps)
+
+        return fit(parameters, residuals, HUBER, start=start, derivatives=derivatives, min_gain_rel=1e-4)
+
+    def _derivatives(self, x: dict[str, float], steps: Mapping[str, float]) -> Float64:
+        """Return the residuals' forward differences (n, p), all of one setup at once.
+
+        What the calibration's errors do to the points is taken where the setup is as stated.
+        """
+        modes = self.setup.calibration_errors.mode_names
+        alone = [name for name in steps if name in self.setup_names and name not in modes]
+        together = [name for name in steps if name not in alone]
+        places = {name: {**x, name: x[name] + step} for name, step in steps.items()}
+        moves_mm = np.zeros((1 + len(together), 1, *self.mode_moves_mm.shape[1:]))
+        for mode, move_mm in zip(modes, self.mode_moves_mm, strict=True):
+            moves_mm[1 + together.index(mode)] = steps[mode] * move_mm
+        here, *moved = self._residuals_at(x, [x, *(places[name] for name in together)], moves_mm)
+        off = dict(zip(together, moved, strict=True))
+        off |= {name: self.residuals(places[name]) for name in alone}
+        return np.column_stack([(off[name] - here) / step for name, step in steps.items()])
+
+    @cached_property
+    def mode_moves_mm(self) -> Float64:
+        """Moves of the points (m, n, 3), mm, joint frame, by the calibration's independent errors of 1 sigma."""
+        _, moves_mm = calibration_moves(self.setup, self.setup.calibration_errors, self.points_px)
+        return np.asarray(np.einsum("nij,nmj->mni", self.T_joint_tool[:, :3, :3], moves_mm))
 
     def _parameters(self, name: str) -> list[Parameter]:
         sigmas = {
@@ -405,16 +432,27 @@ class _StripePlaceProblem:
 
     def residuals(self, x: Mapping[str, float]) -> Float64:
         """Return the residuals (n,) of the stripe's points, in their sigmas."""
+        return np.asarray(self._residuals_at(x, [x])[0])
+
+    def _residuals_at(
+        self, x: Mapping[str, float], places: Sequence[Mapping[str, float]], moves_mm: Float64 | float = 0.0
+    ) -> Float64:
+        """Return the residuals (k, n) at k places that have the setup of x, where points are moved."""
         try:
             setup = self._setup_with(tuple(x.get(name, 0.0) for name in self.setup_names))
         except ValueError:
             # Dimensions that no joint has.
-            return np.full(len(self.points_px), FAR)
-        seen_px = self.points_px + np.tensordot([x[name] for name in SHAPE_BLOCK], self.bends_px, axes=1)
-        here_mm, shifted_mm = self._off_mm(setup, np.stack([seen_px, seen_px + self.across]), x)
+            return np.full((len(places), len(self.points_px)), FAR)
+        shapes = np.array([[place[name] for name in SHAPE_BLOCK] for place in places])
+        seen_px = self.points_px + np.tensordot(shapes, self.bends_px, axes=1)
+        both_px = np.stack([seen_px, seen_px + self.across], axis=1)
+        T_joint_tool = np.tile(self.T_joint_tool, (2 * len(places), 1, 1))
+        in_joint = transform_each(T_joint_tool, to_laser_plane(setup, both_px.reshape(-1, 2))[0])
+        off_mm = self._off_mm(setup, in_joint.reshape(*both_px.shape[:3], 3) + moves_mm, places)
+        here_mm, shifted_mm = off_mm[:, 0], off_mm[:, 1]
         with np.errstate(divide="ignore", invalid="ignore"):
             off_px: Float64 = here_mm / (shifted_mm - here_mm)
-        return np.clip(np.nan_to_num(off_px / self.sigma_px, nan=FAR), -FAR, FAR)
+        return np.asarray(np.clip(np.nan_to_num(off_px / self.sigma_px, nan=FAR), -FAR, FAR))
 
     @cached_property
     def setup_names(self) -> tuple[str, ...]:
@@ -428,15 +466,15 @@ class _StripePlaceProblem:
         """The setup with parameters of some values; half of all derivatives ask for the one before."""
         return lru_cache(maxsize=2)(lambda x: with_changes(self.setup, _by_name(self.setup_names, x)))
 
-    def _off_mm(self, setup: Setup, points_px: Float64, x: Mapping[str, float]) -> Float64:
-        """Return the distances (k, n), mm, of the points, seen at k places each (k, n, 2), off the joint."""
-        T_joint_tool = np.tile(self.T_joint_tool, (len(points_px), 1, 1))
-        in_joint = transform_each(T_joint_tool, to_laser_plane(setup, points_px.reshape(-1, 2))[0])
-        along = in_joint[:, 0] - self.middle_mm
-        in_joint[:, 1] -= x["seam_y"] + x["seam_slope_y"] * along + self.bends.y_mm(x, in_joint[:, 0])
-        in_joint[:, 2] -= x["seam_z"] + x["seam_slope_z"] * along
-        in_joint[:, 2] -= math.radians(x["part_roll"]) * in_joint[:, 1]
-        return _off_section(setup, in_joint).reshape(points_px.shape[:2])
+    def _off_mm(self, setup: Setup, in_joint: Float64, places: Sequence[Mapping[str, float]]) -> Float64:
+        """Return the distances (k, 2, n), mm, of points (k, 2, n, 3) off the joint that lies at k places."""
+        part = np.array([[place[name] for name in PART_BLOCK] for place in places])
+        seam_y, seam_z, slope_y, slope_z, roll_deg = part.T[:, :, None, None]
+        along, y, z = (in_joint[..., axis] for axis in range(3))
+        bent_mm = np.array([self.bends.y_mm(place, x) for place, x in zip(places, along, strict=True)])
+        y = y - (seam_y + slope_y * (along - self.middle_mm) + bent_mm)
+        z = z - (seam_z + slope_z * (along - self.middle_mm)) - np.radians(roll_deg) * y
+        return _off_section(setup, np.stack([along, y, z], axis=-1).reshape(-1, 3)).reshape(y.shape)
 
     def displacement(self, stated: Fit) -> tuple[float, float]:
         """Return the points' median distance from their nominal places, px, and its expected 1 sigma."""
