@@ -106,7 +106,12 @@ def _stripe(rays, eye, met, faces, opens, corners, bend, origin, plane, up, stan
 
 @njit(cache=True)
 def _arc(rays, eye, corners, bend, centre, radius, metal, image):  # type: ignore[no-untyped-def]
-    """Write the arc's reflected light (n,) over radiance for rays (n, 3) from the eye."""
+    """Write the arc's reflected light (n,) over radiance for rays (n, 3) from the eye.
+
+    Nothing shades a level face that no other one rises above, and ridges neither.
+    """
+    is_free = (corners[:-1, 1] == corners[1:, 1]) & (corners[:-1, 1] >= corners[:, 1].max())
+    is_free &= (bend[3] == 0.0) & (bend[9] == 0.0)
     golden = math.pi * (3.0 - math.sqrt(5.0))
     area = 2.0 * math.pi * radius * radius / ARC_POINTS
     for i in range(rays.shape[0]):
@@ -128,7 +133,7 @@ def _arc(rays, eye, corners, bend, centre, radius, metal, image):  # type: ignor
             way /= far
             cos_i = n[0] * way[0] + n[1] * way[1] + n[2] * way[2]
             cos_o = -(out[0] * way[0] + out[1] * way[1] + out[2] * way[2])
-            if cos_i > 0.0 and cos_o > 0.0 and is_open(p, n, source, corners, bend):
+            if cos_i > 0.0 and cos_o > 0.0 and (is_free[k] or is_open(p, n, source, corners, bend)):
                 total += (
                     cos_i * cos_o / (far * far) * (metal[0] + metal[1] * _lobe(n, way, -rays[i], metal[2]))
                 )
