@@ -346,9 +346,15 @@ class _StripePlaceProblem:
         )
 
     def annealed(self, name: str, start: Mapping[str, float]) -> Mapping[str, float]:
-        """Return the fit with one part off to points that count less and less little."""
+        """Return the fit with one part off to points that count less and less little.
+
+        Plates settle first, and then say nothing of where the joint lies between them: that is looked for.
+        """
         for factor in ANNEALING:
             vague = replace(self, sigma_px=factor * self.sigma_px)
+            if factor == ANNEALING[-1]:
+                beside_mm = start["seam_y"] + np.arange(-15.0, 15.5, 1.0)
+                start = vague._best_of({**start, "seam_y": y_mm} for y_mm in beside_mm.tolist())
             parameters = vague._parameters(name)
             values = vague._fit(parameters, np.array([start.get(p.name, 0.0) for p in parameters])).values
             start = dict(zip((p.name for p in parameters), values, strict=True))
@@ -411,7 +417,7 @@ class _StripePlaceProblem:
 
     @cached_property
     def mode_moves_mm(self) -> Float64:
-        """Moves of the points (m, n, 3), mm, joint frame, by the calibration's independent errors of 1 sigma."""
+        """Moves of the points (m, n, 3), mm, joint frame, by calibration errors of 1 sigma."""
         _, moves_mm = calibration_moves(self.setup, self.setup.calibration_errors, self.points_px)
         return np.asarray(np.einsum("nij,nmj->mni", self.T_joint_tool[:, :3, :3], moves_mm))
 
