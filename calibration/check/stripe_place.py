@@ -189,17 +189,13 @@ def explain_stripes(
 ) -> tuple[float, list[Cause]]:
     """Return the stripes' median distance from their nominal places, px, and the cause of each name.
 
-    A later name is fitted from the best of a grid, and, annealed, from the best fit before it and from the
-    setup as stated. Raises ValueError where no stripe meets the laser plane in front of the camera.
+    A later name is fitted from the best of a grid, and, annealed, from the setup as stated. Raises ValueError
+    where no stripe meets the laser plane in front of the camera.
     """
     problem = _StripePlaceProblem.of(setup, sights)
-    first = best = problem.explain(names[0], problem.coarse_place(), {})
-    causes = [first]
-    for name in names[1:]:
-        annealed = (problem.annealed(name, start) for start in (best.values, {}))
-        causes.append(problem.explain(name, problem.coarse_change(name), *annealed))
-        best = max(best, causes[-1], key=lambda cause: cause.ln_evidence)
-    return problem.displacement(first.fit)[0], causes
+    first = problem.explain(names[0], problem.coarse_place(), {})
+    others = [problem.explain(n, problem.coarse_change(n), problem.annealed(n)) for n in names[1:]]
+    return problem.displacement(first.fit)[0], [first, *others]
 
 
 @one_thread()
@@ -345,11 +341,12 @@ class _StripePlaceProblem:
             default={},
         )
 
-    def annealed(self, name: str, start: Mapping[str, float]) -> Mapping[str, float]:
+    def annealed(self, name: str) -> Mapping[str, float]:
         """Return the fit with one part off to points that count less and less little.
 
         Plates settle first, and then say nothing of where the joint lies between them: that is looked for.
         """
+        start: Mapping[str, float] = {}
         for factor in ANNEALING:
             vague = replace(self, sigma_px=factor * self.sigma_px)
             if factor == ANNEALING[-1]:
