@@ -350,8 +350,8 @@ class _StripePlaceProblem:
         for factor in ANNEALING:
             vague = replace(self, sigma_px=factor * self.sigma_px)
             if factor == ANNEALING[-1]:
-                beside_mm = start["seam_y"] + np.arange(-15.0, 15.5, 1.0)
-                start = vague._best_of({**start, "seam_y": y_mm} for y_mm in beside_mm.tolist())
+                seams_mm = start["seam_y"] + np.arange(-15.0, 15.5, 1.0)
+                start = vague._best_of({**start, "seam_y": y_mm} for y_mm in seams_mm.tolist())
             parameters = vague._parameters(name)
             values = vague._fit(parameters, np.array([start.get(p.name, 0.0) for p in parameters])).values
             start = dict(zip((p.name for p in parameters), values, strict=True))

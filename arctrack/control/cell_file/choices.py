@@ -116,6 +116,13 @@ class BlackBoxChoice:
 
 
 @dataclass(frozen=True)
+class McapChoice:
+    """The MCAP files of live runs, as [mcap] states; None for none."""
+
+    folder: str | None = None
+
+
+@dataclass(frozen=True)
 class MonitorChoice:
     """The monitor page of a live run, as [monitor] states.
 
@@ -204,6 +211,7 @@ class CellFile:
     process: ProcessChoice
     monitor: MonitorChoice
     black_box: BlackBoxChoice
+    mcap: McapChoice
 
     @property
     def bus_load(self) -> float:

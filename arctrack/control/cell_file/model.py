@@ -11,6 +11,7 @@ from arctrack.control.cell_file.choices import (
     MIN_TOKEN_LETTERS,
     BlackBoxChoice,
     CaptureChoice,
+    McapChoice,
     MonitorChoice,
     ProcessChoice,
 )
@@ -202,6 +203,17 @@ class BlackBoxTable(Table):
     )
 
 
+class McapTable(Table):
+    """Live runs as MCAP, for Foxglove and what reads it beside ROS. It needs pip install 'arctrack[mcap]'."""
+
+    folder: str | None = key(
+        "Where each run writes a file, from this file on; none without it",
+        default=McapChoice.folder,
+        example='"mcap"',
+        min_length=1,
+    )
+
+
 class PartTable(Table):
     """The part's required geometry before the arc is lit, as ranges; nothing is required without them."""
 
@@ -249,5 +261,6 @@ class CellToml(Table):
     service: ServiceTable = Field(default_factory=ServiceTable)
     process: ProcessTable = Field(default_factory=ProcessTable)
     black_box: BlackBoxTable = Field(default_factory=BlackBoxTable)
+    mcap: McapTable = Field(default_factory=McapTable)
     monitor: MonitorTable = Field(default_factory=MonitorTable)
     plausibility: PlausibilityTable = Field(default_factory=PlausibilityTable)

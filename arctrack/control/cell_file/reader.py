@@ -15,6 +15,7 @@ from arctrack.control.cell_file.choices import (
     CaptureChoice,
     CellFile,
     CellJob,
+    McapChoice,
     MonitorChoice,
     ProcessChoice,
 )
@@ -100,6 +101,7 @@ def _cell(path: Path, model: CellToml, setup: SetupFile) -> CellFile:
         process=_record(ProcessChoice, model.process),
         monitor=_record(MonitorChoice, model.monitor),
         black_box=_record(BlackBoxChoice, model.black_box),
+        mcap=_record(McapChoice, model.mcap),
     )
     for number, job in cell.jobs.items():
         _within(str(number), partial(job.to_job, setup.setup, limits))

@@ -55,8 +55,7 @@ class Painter:
     def paint(self, entry: Entry, view: FrameView) -> MonitorPicture:
         """Return the picture of an entry with its view."""
         viewer = self._viewer(entry.job_number)
-        reading = _reading(viewer.geometry.setup, entry, view)
-        seen = ReplayedFrame(entry.inputs.pose, view.track, reading, entry.offset, entry.took_ms)
+        seen = seen_frame(viewer.geometry.setup, entry, view)
         shown = viewer.view(entry.frame, seen, shows_arc_light=False)
         assert shown.grey is not None
         jpeg = _jpeg(shown.grey)
@@ -110,6 +109,12 @@ class Painter:
             setup = self._setups.get(job_number, next(iter(self._setups.values())))
             self._viewers[job_number] = Viewer(SensorGeometry.of(setup), None)
         return self._viewers[job_number]
+
+
+def seen_frame(setup: Setup, entry: Entry, view: FrameView) -> ReplayedFrame:
+    """Return a frame of a run with its view as a replay has it."""
+    reading = _reading(setup, entry, view)
+    return ReplayedFrame(entry.inputs.pose, view.track, reading, entry.offset, entry.took_ms)
 
 
 def _reading(setup: Setup, entry: Entry, view: FrameView) -> Reading | None:

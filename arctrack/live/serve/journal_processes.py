@@ -15,6 +15,7 @@ from arctrack.live.black_box.recorder import END, JobSetup, RecorderOptions, run
 from arctrack.live.journal.journal import Journal, slots_for
 from arctrack.live.journal.message_pipe import PipeEnd, message_pipe
 from arctrack.live.journal.ring import RingError, remove_dead_rings
+from arctrack.live.mcap_process import McapOptions, run_mcap
 from arctrack.live.monitor.monitor_process import run_monitor
 from arctrack.live.monitor.options import MonitorOptions, options_of
 from arctrack.live.serve.journal_writer import JournalWriter
@@ -50,7 +51,7 @@ def open_journal(
     memory has no room.
     """
     kept_s = cell.black_box.seconds
-    if kept_s == 0.0 and not cell.monitor.enabled:
+    if kept_s == 0.0 and not cell.monitor.enabled and cell.mcap.folder is None:
         yield None
         return
     run, setup = f"{os.getpid()}", cell.setup.setup
@@ -66,11 +67,19 @@ def open_journal(
             "watch", run_watch, (WatchOptions(run, setups),), niceness=WATCH_NICENESS
         )
         started = [opened.enter_context(supervisor.running(watching))]
+        jobs = {number: JobSetup(setup, job_setup_text(cell, number)) for number, setup in setups.items()}
         black_box, box_end = message_pipe()
         page_end, asked_end = message_pipe()
         if kept_s:
             # A simulated cell's faults are this machine's load; nobody wants their files.
-            options = _recorder_options(cell, run, setups, saves_faults=not is_simulated)
+            options = RecorderOptions(
+                run,
+                cell.path.parent / cell.black_box.folder,
+                kept_s,
+                cell.camera.frame_rate_hz,
+                jobs,
+                saves_faults=not is_simulated,
+            )
             recording = SupervisedProcess(
                 "black box",
                 run_recorder,
@@ -82,6 +91,10 @@ def open_journal(
                 ends_s=60.0,
             )
             started.append(opened.enter_context(supervisor.running(recording, END)))
+        if cell.mcap.folder is not None:
+            mcap = McapOptions(run, cell.path.parent / cell.mcap.folder, jobs)
+            bridge = SupervisedProcess("mcap", run_mcap, (mcap,), niceness=WATCH_NICENESS, ends_s=10.0)
+            started.append(opened.enter_context(supervisor.running(bridge, END)))
         page: str | None = None
         warnings: tuple[str, ...] = ()
         if cell.monitor.enabled:
@@ -95,14 +108,6 @@ def open_journal(
             page,
             warnings,
         )
-
-
-def _recorder_options(
-    cell: CellFile, run: str, setups: Mapping[int, Setup], saves_faults: bool
-) -> RecorderOptions:
-    jobs = {number: JobSetup(setup, job_setup_text(cell, number)) for number, setup in setups.items()}
-    folder = cell.path.parent / cell.black_box.folder
-    return RecorderOptions(run, folder, cell.black_box.seconds, cell.camera.frame_rate_hz, jobs, saves_faults)
 
 
 def _page(

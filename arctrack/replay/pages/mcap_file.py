@@ -1,4 +1,4 @@
-"""replay.mcap: a replay as messages over time, for Foxglove and all else that reads MCAP.
+"""MCAP files: a replay or a live run as messages over time, for Foxglove and all else that reads MCAP.
 
 The messages are Foxglove's well-known ones, as JSON schemas of the fields that are used
 (https://docs.foxglove.dev/docs/sdk/schemas), and arctrack's own. Foxglove counts lengths in m.
@@ -7,7 +7,7 @@ The messages are Foxglove's well-known ones, as JSON schemas of the fields that 
 import base64
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
@@ -25,6 +25,7 @@ from arctrack.replay.pages.view import ReplayView, chosen, stretches
 from arctrack.report import style
 from arctrack.report.image import jpeg
 from noise_model.compiled.arrays import Float64
+from noise_model.instrument.camera import Camera
 from tracker.checks import Check
 from tracker.state import Frame
 
@@ -149,19 +150,38 @@ TOPICS = {
 class McapFile:
     """Writer of an MCAP file, message by message; the context's end completes it.
 
-    MCAP counts time from 0. Where a recording begins before, all times in the file are whole seconds later,
-    as its metadata `arctrack` say. Raises ArctrackError, which names the file, where it cannot be written.
+    It begins at `first_s`. All times in it are `late_s` later than the frames', as its metadata say with
+    `metadata`; `setups` are attached by their names, the first one's camera is the topics'. Raises
+    ArctrackError, which names the file, where it cannot be written.
     """
 
-    def __init__(self, path: Path, recording: Recording) -> None:
-        self._path, self._recording = path, recording
-        first_s = min(row.timestamp_s for row in recording.rows)
-        self._late_s = max(0, math.ceil(-first_s))
+    def __init__(
+        self,
+        path: Path,
+        camera: Camera,
+        setups: Mapping[str, bytes],
+        first_s: float,
+        late_s: float,
+        metadata: Mapping[str, str],
+    ) -> None:
+        self._path, self._late_s = path, late_s
         with writing(path):
             self._file: IO[bytes] = path.open("wb")
-        self._writer = Writer(self._file)
+        self._writer, self._channels = Writer(self._file), dict[str, int]()
         with writing(path):
-            self._begin(self._ns(first_s))
+            self._begin(camera, setups, self._ns(first_s), {**metadata, "seconds_later": f"{late_s:.15g}"})
+
+    @classmethod
+    def of_recording(cls, path: Path, recording: Recording) -> Self:
+        """Begin the file of a replay.
+
+        MCAP counts time from 0: where the recording begins before, times are whole seconds later.
+        """
+        first_s = min(row.timestamp_s for row in recording.rows)
+        setup = recording.setup_path
+        setups = {setup.name: setup.read_bytes()}
+        late_s = max(0, math.ceil(-first_s))
+        return cls(path, recording.setup.camera, setups, first_s, late_s, {"recording": recording.name})
 
     def add(
         self, frame: Frame | None, seen: ReplayedFrame, view: ReplayView, true_mm: Float64 | None
@@ -197,24 +217,19 @@ class McapFile:
             for topic, message in messages.items():
                 self._send(topic, message, ns)
 
-    def _begin(self, first_ns: int) -> None:
-        recording, camera = self._recording, self._recording.setup.camera
+    def add_message(self, topic: str, schema: Schema, message: dict[str, Any], time_s: float) -> None:
+        """Append a message of another topic, at a time of the frames' clock; its schema has a title."""
+        ns = self._ns(time_s)
+        with writing(self._path):
+            self._send(topic, {"timestamp": _stamp(ns), **message}, ns, schema)
+
+    def _begin(
+        self, camera: Camera, setups: Mapping[str, bytes], first_ns: int, metadata: dict[str, str]
+    ) -> None:
         self._writer.start(library="arctrack")
-        ids = {
-            schema["title"]: self._writer.register_schema(
-                schema["title"], "jsonschema", json.dumps(schema).encode()
-            )
-            for schema in TOPICS.values()
-        }
-        self._channels = {
-            topic: self._writer.register_channel(topic, "json", ids[schema["title"]])
-            for topic, schema in TOPICS.items()
-        }
-        self._writer.add_metadata(
-            "arctrack", {"recording": recording.name, "seconds_later": str(self._late_s)}
-        )
-        setup = recording.setup_path
-        self._writer.add_attachment(first_ns, first_ns, setup.name, "application/toml", setup.read_bytes())
+        self._writer.add_metadata("arctrack", metadata)
+        for name, text in setups.items():
+            self._writer.add_attachment(first_ns, first_ns, name, "application/toml", text)
         stamp = _stamp(first_ns)
         K = camera.matrix
         calibration = {
@@ -234,7 +249,12 @@ class McapFile:
     def _ns(self, time_s: float) -> int:
         return round((time_s + self._late_s) * 1e9)
 
-    def _send(self, topic: str, message: dict[str, Any], ns: int) -> None:
+    def _send(self, topic: str, message: dict[str, Any], ns: int, schema: Schema | None = None) -> None:
+        if topic not in self._channels:
+            schema = schema or TOPICS[topic]
+            described = json.dumps(schema).encode()
+            number = self._writer.register_schema(schema["title"], "jsonschema", described)
+            self._channels[topic] = self._writer.register_channel(topic, "json", number)
         text = json.dumps(message, allow_nan=False, separators=(",", ":"))
         self._writer.add_message(self._channels[topic], ns, text.encode(), ns)
 

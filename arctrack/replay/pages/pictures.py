@@ -133,7 +133,7 @@ def exporter(name: str) -> Exporter:
         if name == REPLAY_MCAP:
             from arctrack.replay.pages.mcap_file import McapFile
 
-            return McapFile
+            return McapFile.of_recording
         from arctrack.replay.pages.rrd_file import RrdFile
 
         return RrdFile

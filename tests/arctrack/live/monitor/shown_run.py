@@ -135,7 +135,8 @@ class ShownRun:
         )
         self.status = replace(self.status, **self.changes)
         position = self.journal.write_entry(entry)
-        self.journal.write_view(replace(view, position=position))
+        track = replace(view.track, frame=frame.index, timestamp_s=frame.timestamp_s)
+        self.journal.write_view(replace(view, position=position, track=track))
         self.journal.write_status(self.status)
 
     def report_gap(self, name: str, text: str) -> None:
