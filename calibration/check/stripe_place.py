@@ -350,6 +350,7 @@ class _StripePlaceProblem:
         for factor in ANNEALING:
             vague = replace(self, sigma_px=factor * self.sigma_px)
             if factor == ANNEALING[-1]:
+                # A camera that is off by 3 sigma of STALE_POSE puts it so far away, mm.
                 seams_mm = start["seam_y"] + np.arange(-15.0, 15.5, 1.0)
                 start = vague._best_of({**start, "seam_y": y_mm} for y_mm in seams_mm.tolist())
             parameters = vague._parameters(name)
@@ -466,8 +467,8 @@ class _StripePlaceProblem:
 
     @cached_property
     def _setup_with(self) -> Callable[[tuple[float, ...]], Setup]:
-        """The setup with parameters of some values; half of all derivatives ask for the one before."""
-        return lru_cache(maxsize=2)(lambda x: with_changes(self.setup, _by_name(self.setup_names, x)))
+        """The setup with parameters of some values; derivatives ask for that of the residuals before."""
+        return lru_cache(maxsize=1)(lambda x: with_changes(self.setup, _by_name(self.setup_names, x)))
 
     def _off_mm(self, setup: Setup, in_joint: Float64, places: Sequence[Mapping[str, float]]) -> Float64:
         """Return the distances (k, 2, n), mm, of points (k, 2, n, 3) off the joint that lies at k places."""

@@ -12,12 +12,14 @@ from arctrack.nominal import nominal_setup
 from calibration.check.stripe_place import (
     AS_STATED,
     CAMERA,
+    CAMERA_BLOCK,
     LASER,
     OFF_NATS,
     PART,
     RIVAL_NATS,
     SENSOR,
     StripeSight,
+    _StripePlaceProblem,
     explain_stripes,
     locate_stripes,
     with_changes,
@@ -34,6 +36,7 @@ from tracker.stripe.expected import expect_stripe
 pytestmark = pytest.mark.slow
 
 SETUP = nominal_setup("fillet", "mild_steel", width=320, height=240)
+GROOVE = nominal_setup("v_groove", "mild_steel", width=320, height=240)
 LYING = SeamLine(y_mm=0.3, z_mm=0.5)
 NOISE_PX = 0.2
 
@@ -48,10 +51,10 @@ def poses(turn_deg: float, lift_mm: float) -> list[Float64]:
     ]
 
 
-def sights_of(change: Mapping[str, float], tool: list[Float64]) -> list[StripeSight]:
+def sights_of(change: Mapping[str, float], tool: list[Float64], stated: Setup = SETUP) -> list[StripeSight]:
     """Return the stripes that a changed setup makes."""
     rng = np.random.default_rng(1)
-    geometry = SensorGeometry.of(with_changes(SETUP, change))
+    geometry = SensorGeometry.of(with_changes(stated, change))
     sights = []
     for T_base_tool in tool:
         stripe = expect_stripe(geometry, make_scene(geometry.setup, T_base_tool, LYING))
@@ -82,7 +85,7 @@ def test_a_sound_setup_explains_stripes_of_a_part_off_its_place() -> None:
     [
         ({"camera_rot_x": 0.8, "camera_rot_y": 1.0}, CAMERA),
         ({"laser_rot_2": 0.4, "laser_offset": 1.5}, LASER),
-        # From the setup as stated alone the fit of so large a change gets stuck.
+        # From the best of the grid alone the fit of so large a change gets stuck.
         ({"camera_rot_x": 1.8, "camera_rot_y": -1.9, "camera_rot_z": 2.0, "camera_y": 8.0}, CAMERA),
     ],
 )
@@ -90,6 +93,35 @@ def test_turned_poses_name_what_is_off(change: Mapping[str, float], right: str) 
     found = evidences(change, poses(5.0, 10.0))
     assert max(found, key=lambda name: found[name]) == right
     assert found[right] > found[AS_STATED] + OFF_NATS
+
+
+@pytest.mark.parametrize(
+    ("turned_deg", "moved_mm"),
+    [((-1.7, -1.0, 1.2), (-1.9, 3.4, 1.8)), ((1.5, -1.9, -1.9), (-5.0, 5.2, -5.5))],
+)
+def test_a_camera_that_moved_far_is_found_where_plates_alone_do_not_tell_it(
+    turned_deg: tuple[float, ...], moved_mm: tuple[float, ...]
+) -> None:
+    """Plates hide a groove's place: a fit from them alone leaves it beside the stripes."""
+    change = dict(zip(CAMERA_BLOCK, (*turned_deg, *moved_mm), strict=True))
+    sights = sights_of(change, poses(5.0, 10.0), GROOVE)
+    _, causes = explain_stripes(GROOVE, sights, (AS_STATED, LASER, CAMERA))
+    best = max(causes, key=lambda cause: cause.ln_evidence)
+    assert best.name == CAMERA
+    assert best.rms_px < 2.0 * NOISE_PX
+
+
+def test_the_derivatives_of_one_setup_at_once_are_those_of_each_parameter() -> None:
+    problem = _StripePlaceProblem.of(GROOVE, sights_of({}, poses(5.0, 10.0), GROOVE))
+    steps = {parameter.name: parameter.step for parameter in problem._parameters(CAMERA)}
+    x = dict.fromkeys(steps, 0.0)
+    here = problem.residuals(x)
+    apart = np.array([(problem.residuals({**x, name: step}) - here) / step for name, step in steps.items()])
+    off = np.abs(problem._derivatives(x, steps).T - apart).max(axis=1)
+    is_mode = np.array([name in problem.setup.calibration_errors.mode_names for name in steps])
+    assert off[~is_mode].max() == 0.0
+    # The calibration's errors are moved by a whole sigma: what bends over that is left out.
+    assert off[is_mode].max() < 0.01 * np.abs(apart[is_mode]).max()
 
 
 @pytest.mark.parametrize(("sigma_mm", "explains"), [(1.0, True), (0.01, False)])
