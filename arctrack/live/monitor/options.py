@@ -1,9 +1,11 @@
-"""Options of a monitor page."""
+"""Options of a monitor page, and of a run's MCAP file."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from arctrack.control.cell_file import CellFile
+from arctrack.live.black_box.recorder import JobSetup
 from noise_model.setup import Setup
 
 
@@ -24,6 +26,15 @@ class MonitorOptions:
     title: str = ""
     job_names: Mapping[int, str] = field(default_factory=dict)
     is_simulated: bool = False
+
+
+@dataclass(frozen=True)
+class McapOptions:
+    """Options of a run's MCAP file: the run's name, the folder of the file, and each job's setup."""
+
+    run: str
+    folder: Path
+    jobs: Mapping[int, JobSetup]
 
 
 def options_of(cell: CellFile, journal: str, is_simulated: bool = False) -> MonitorOptions:

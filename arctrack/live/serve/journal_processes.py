@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 from arctrack.control.cell_file import CellFile
@@ -15,9 +16,7 @@ from arctrack.live.black_box.recorder import END, JobSetup, RecorderOptions, run
 from arctrack.live.journal.journal import Journal, slots_for
 from arctrack.live.journal.message_pipe import PipeEnd, message_pipe
 from arctrack.live.journal.ring import RingError, remove_dead_rings
-from arctrack.live.mcap_process import McapOptions, run_mcap
-from arctrack.live.monitor.monitor_process import run_monitor
-from arctrack.live.monitor.options import MonitorOptions, options_of
+from arctrack.live.monitor.options import McapOptions, MonitorOptions, options_of
 from arctrack.live.serve.journal_writer import JournalWriter
 from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor
 from arctrack.live.watch.process import WatchOptions, run_watch
@@ -93,7 +92,7 @@ def open_journal(
             started.append(opened.enter_context(supervisor.running(recording, END)))
         if cell.mcap.folder is not None:
             mcap = McapOptions(run, cell.path.parent / cell.mcap.folder, jobs)
-            bridge = SupervisedProcess("mcap", run_mcap, (mcap,), niceness=WATCH_NICENESS, ends_s=10.0)
+            bridge = SupervisedProcess("mcap", _run_mcap, (mcap,), niceness=WATCH_NICENESS, ends_s=10.0)
             started.append(opened.enter_context(supervisor.running(bridge, END)))
         page: str | None = None
         warnings: tuple[str, ...] = ()
@@ -110,6 +109,19 @@ def open_journal(
         )
 
 
+def _run_page(*given: Any) -> None:
+    # What a page needs is loaded where it runs: the loop's process does without it.
+    from arctrack.live.monitor.monitor_process import run_monitor
+
+    run_monitor(*given)
+
+
+def _run_mcap(*given: Any) -> None:
+    from arctrack.live.monitor.mcap_process import run_mcap
+
+    run_mcap(*given)
+
+
 def _page(
     opened: ExitStack,
     supervisor: Supervisor,
@@ -118,7 +130,7 @@ def _page(
     cell_path: Path,
 ) -> tuple[str | None, tuple[str, ...]]:
     """Start the page, and return where it is, and what is wrong: a run goes on without it."""
-    process = SupervisedProcess("page", run_monitor, (options,), pipes, PAGE_NICENESS)
+    process = SupervisedProcess("page", _run_page, (options,), pipes, PAGE_NICENESS)
     opened.enter_context(supervisor.running(process))
     try:
         address = str(process.wait_ready())

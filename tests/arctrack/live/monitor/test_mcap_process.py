@@ -24,7 +24,8 @@ from typer.testing import CliRunner
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.live.black_box.recorder import END, JobSetup
-from arctrack.live.mcap_process import McapOptions, run_mcap
+from arctrack.live.monitor.mcap_process import run_mcap
+from arctrack.live.monitor.options import McapOptions
 from arctrack.live.serve.supervisor import SupervisedProcess, Supervisor
 
 mcap_reader = pytest.importorskip("mcap.reader")

@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import datetime
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from arctrack.errors import in_file, without_extra
 from arctrack.live.black_box.recorder import JobSetup
 from arctrack.live.journal.journal import JournalReader
 from arctrack.live.journal.records import Status
+from arctrack.live.monitor.options import McapOptions
 from arctrack.live.monitor.picture import seen_frame
 from arctrack.replay.pages.view import Viewer
 from tracker.geometry import SensorGeometry
@@ -39,15 +38,6 @@ STATE = {
         **{name: {"type": "integer"} for name in ("job_number", "frames", "valid", "dropped")},
     },
 }
-
-
-@dataclass(frozen=True)
-class McapOptions:
-    """Options of a run's MCAP file: the run's name, the folder of the file, and each job's setup."""
-
-    run: str
-    folder: Path
-    jobs: Mapping[int, JobSetup]
 
 
 def run_mcap(options: McapOptions, parent: Connection) -> None:
