@@ -5,7 +5,6 @@ observation that counts is then repeated for what the step does not keep: nothin
 same numbers bit for bit.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -15,9 +14,10 @@ from skimage.measure import approximate_polygon
 from arctrack.control.recorded_job import recorded_job
 from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import BadFrame, Recording
+from arctrack.replay.arc_light import arc_light
 from arctrack.replay.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
 from arctrack.replay.replay_loop import replay_without_bus
-from noise_model.arc.map import ArcKernel, arc_frame, arc_kernel
+from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene, make_scene
 from noise_model.compiled.arrays import Float32, Float64
 from noise_model.instrument.sensor import variance_e2
@@ -199,24 +199,6 @@ def _look(given: FrameInput, reading: Reading) -> StepObservation:
     if reading.joint is None:
         return replace(look, joint=fit_section(section, geometry.setup.joint, given.stripe_image))
     return replace(look, joint=reading.joint, seam=_seam_look(given, scene, reading.joint))
-
-
-def arc_light(
-    geometry: SensorGeometry, kernel: ArcKernel, transmission: Transmission | None, arc: ArcLevel
-) -> tuple[Float32, Float32]:
-    """Return the arc's light at its level, and all that is in the image without the laser, e-.
-
-    Both are by scan line, (n_scan, n_pos); an unknown level counts as 1. NaN past the workpiece.
-    """
-    shape = (geometry.n_scan, geometry.n_pos)
-    level = arc.level if math.isfinite(arc.level) else 1.0
-    arc_e = arc_frame(kernel, geometry.xy, geometry.cos4, shape)
-    other_e = np.zeros_like(arc_e)
-    if transmission is not None:
-        through = transmission.through(np.arange(arc_e.size), arc_e.ravel())
-        arc_e, other_e = (light.reshape(shape) for light in through)
-    arc_e = np.float32(level) * arc_e
-    return arc_e, arc_e + other_e + np.float32(arc.black_e)
 
 
 def _arc_image(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from arctrack.recording import Truth
-from arctrack.replay.explain import arc_light
+from arctrack.replay.arc_light import arc_light
 from arctrack.replay.pages.drawing_spool import ReplayedFrame
 from arctrack.replay.pages.overlay import picture_of
 from arctrack.report.image import frame_picture, jpeg, project_tool_point, shrunk, uri, visible
