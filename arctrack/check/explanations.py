@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import softmax
-from scipy.stats import betabinom, norm
 
 from arctrack.check.check_sample import CheckCase
 from arctrack.check.mistakes import Mistake, common_mistakes, focal_lengths, other_joints
@@ -355,8 +354,13 @@ def _wrong_width(case: CheckCase, width: StripeWidth, ln_posterior: float) -> We
 
 
 def _ln_width(ln_ratio: float, spread: float) -> float:
+    # It takes half a second to load: a sound replay asks for none of it.
+    from scipy.stats import norm
+
     return float(norm.logpdf(ln_ratio, scale=spread)) if math.isfinite(ln_ratio) else 0.0
 
 
 def _ln_read(n_read: int, n: int, law: tuple[float, float]) -> float:
+    from scipy.stats import betabinom
+
     return float(betabinom.logpmf(n_read, n, *law))

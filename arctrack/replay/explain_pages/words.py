@@ -1,18 +1,23 @@
 """A frame's explanation in words: the verdict, and the tests of the frame, in the step's order."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from arctrack.diagnose.pages.words import listed, number, percent
-from arctrack.replay.explain import Explanation
 from arctrack.replay.explain_lines import NO_FIT, NO_PATH, ODD_WIDTH, TOO_WEAK, UNLIT
 from tracker import flags
 from tracker.checks import Check, Question
 from tracker.flags import Flag
 from tracker.seam.correction import UNSTATED
 from tracker.stripe.line_fit.block import MIN_SIGNIFICANCE
+
+if TYPE_CHECKING:
+    from arctrack.replay.explain import Explanation
 
 REFUSALS = {
     UNLIT: "the laser's fan does not reach it",
