@@ -152,3 +152,27 @@ def test_nothing_on_a_frames_way_imports_pydantic(module: str) -> None:
     """Schemas belong to files: they are read before the first frame."""
     code = f"import sys, {module}; sys.exit('pydantic' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+LATE = ("aiohttp", "scipy.signal", "scipy.stats", "skimage.measure")
+"""What a page, a calibration and the weighing of mistakes take seconds and memory to load."""
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from arctrack.cli import main\n"
+        f"sys.argv = ['arctrack', 'replay', {str(EXAMPLE)!r}, '--out', 'results']\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert not end.code",
+        "import arctrack.live.serve.live_run",
+    ],
+    ids=["replay", "serve"],
+)
+def test_a_sound_replay_and_a_live_loop_do_without_what_loads_slowly(code: str, tmp_path: Path) -> None:
+    code = f"import sys\n{code}\nprint([name for name in {LATE!r} if name in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, check=True, stdout=subprocess.PIPE, text=True
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
