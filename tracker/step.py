@@ -48,8 +48,8 @@ def step(
 ) -> tuple[TrackerMemory, Track, Reading | None]:
     """Track one frame; return the next state, the track, and the reading that it rests on, None without one.
 
-    Nothing about a frame raises: what fails is NaN with a flag. One that contradicts the arc map and shows no
-    seam over it is read as if no arc were stated: over an even background, by its own scatter.
+    Nothing about a frame raises: what fails is NaN with a flag. One that contradicts the arc map is read as
+    if no arc were stated, over an even background and by its own scatter, where it shows a seam so.
 
     `pose` is the tool's at the frame's time, None where it was refused; `work` is scratch. Without
     `use_arc_map` the stripe is read over a running median with one variance for all pixels, for comparison.
@@ -80,7 +80,7 @@ def step(
     if tracked is None:
         return _refused(state, frame_checks, frame)
     by_map = tracked.state, _track(frame, tracked), tracked.reading
-    if not (use_arc_map and _contradicts_map(tracked.reading) and not by_map[1].valid):
+    if not (use_arc_map and _contradicts_map(tracked.reading)):
         return by_map
     plain = track_frame(given._replace(frame=replace(frame, arc_on=False)), FrameChecks())
     if plain is None or not _track(frame, plain).valid:
@@ -91,7 +91,7 @@ def step(
 def _contradicts_map(reading: Reading) -> bool:
     """Return True if no level of the arc fits a frame off the stripe, or its misfit exceeds the limit.
 
-    What the map predicts beneath the stripe is then no evidence against a stripe.
+    What the map predicts beneath the stripe is then evidence neither for a stripe nor against one.
     """
     if reading.flags & flags.LASER_OFF.mask:
         return False

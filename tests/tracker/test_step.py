@@ -34,6 +34,7 @@ from noise_model.surface.faces import ridge
 from noise_model.surface.joint import NOMINAL_SEAM, SeamLine, section
 from tracker import flags
 from tracker.geometry import SensorGeometry
+from tracker.observation import MISFIT_LIMIT
 from tracker.state import Frame, Pose, Track
 from tracker.step import step
 from tracker.stripe.read import Work
@@ -158,6 +159,21 @@ def test_frames_that_contradict_the_arc_map_are_read_without_it(
     # The arc's own light is no stripe.
     dark = frame_of(stated, poses[0], SHIFTED, laser=1e-9, of=true)
     assert not Tracker(stated).step(dark, poses[0]).valid
+
+
+@pytest.mark.slow
+def test_a_frame_that_contradicts_the_arc_map_has_the_seam_and_sigma_of_one_without_it(v: Setup) -> None:
+    center_mm = tuple(np.add(v.arc.center_in_tool_mm, (12.0, 3.0, 0.0)).tolist())
+    stated = replace(v, arc=replace(v.arc, center_in_tool_mm=center_mm))
+    for x_mm in (5.0, 15.0, 25.0):
+        pose = pose_at(x_mm)
+        frame = frame_of(stated, pose, SHIFTED, of=v)
+        told = Tracker(stated).step(frame, pose)
+        untold = Tracker(stated).step(replace(frame, arc_on=False), pose)
+        assert told.map_misfit > MISFIT_LIMIT
+        assert (told.valid, untold.valid) == (True, True)
+        assert told.seam_tool_mm == untold.seam_tool_mm
+        assert (told.sigma_y_mm, told.sigma_z_mm) == (untold.sigma_y_mm, untold.sigma_z_mm)
 
 
 WELDING = {
