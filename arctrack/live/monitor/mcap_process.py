@@ -16,9 +16,7 @@ from arctrack.live.black_box.recorder import JobSetup
 from arctrack.live.journal.journal import JournalReader
 from arctrack.live.journal.records import Status
 from arctrack.live.monitor.options import McapOptions
-from arctrack.live.monitor.picture import seen_frame
-from arctrack.replay.pages.view import Viewer
-from tracker.geometry import SensorGeometry
+from arctrack.live.monitor.picture import RunViewers
 
 if TYPE_CHECKING:
     from arctrack.replay.pages.mcap_file import McapFile
@@ -78,8 +76,8 @@ class _Bridge:
     """A run's way from its journal into its file."""
 
     def __init__(self, file: McapFile, reader: JournalReader, jobs: Mapping[int, JobSetup]) -> None:
-        self._file, self._reader, self._jobs = file, reader, jobs
-        self._viewers: dict[int, Viewer] = {}
+        self._file, self._reader = file, reader
+        self._viewers = RunViewers({number: job.setup for number, job in jobs.items()})
         self._position, self._state_s = -1, -math.inf
 
     def look(self) -> None:
@@ -92,11 +90,8 @@ class _Bridge:
             return
         self._position = view.position
         entry = self._reader.entry(view.position)
-        if entry is None:
-            return
-        viewer = self._viewer(entry.job_number)
-        seen = seen_frame(viewer.geometry.setup, entry, view)
-        self._file.add(entry.frame, seen, viewer.view(entry.frame, seen, shows_arc_light=False), None)
+        if entry is not None:
+            self._file.add(entry.frame, *self._viewers.view(entry, view), None)
 
     def _write_state(self, status: Status) -> None:
         self._state_s = status.now_s
@@ -112,9 +107,3 @@ class _Bridge:
             "dropped": status.dropped,
         }
         self._file.add_message("/state", STATE, message, status.now_s)
-
-    def _viewer(self, job_number: int) -> Viewer:
-        if job_number not in self._viewers:
-            job = self._jobs.get(job_number, self._jobs[min(self._jobs)])
-            self._viewers[job_number] = Viewer(SensorGeometry.of(job.setup), None)
-        return self._viewers[job_number]

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from arctrack.live.journal.records import Entry, FrameView
 from arctrack.replay.pages.drawing_spool import ReplayedFrame
-from arctrack.replay.pages.view import Profile, Viewer
+from arctrack.replay.pages.view import Profile, ReplayView, Viewer
 from noise_model.arc.map import arc_kernel
 from noise_model.arc.scene import Scene, make_scene
 from noise_model.compiled.arrays import Float32, Float64, UInt8
@@ -45,18 +45,38 @@ class MonitorPicture:
     jpeg: bytes
 
 
-class Painter:
-    """Renderer of frames for the page, with the setup of each job."""
+class RunViewers:
+    """Viewers of a run's frames, with the setup of each job; another job's frames have the first one's."""
 
     def __init__(self, setups: Mapping[int, Setup]) -> None:
         self._setups = setups
         self._viewers: dict[int, Viewer] = {}
 
+    def viewer(self, job_number: int) -> Viewer:
+        """Return the viewer of a job."""
+        if job_number not in self._viewers:
+            setup = self._setups.get(job_number, next(iter(self._setups.values())))
+            self._viewers[job_number] = Viewer(SensorGeometry.of(setup), None)
+        return self._viewers[job_number]
+
+    def view(self, entry: Entry, view: FrameView) -> tuple[ReplayedFrame, ReplayView]:
+        """Return an entry with its view as a replay has it, and its drawing without the arc's light."""
+        viewer = self.viewer(entry.job_number)
+        reading = _reading(viewer.geometry.setup, entry, view)
+        seen = ReplayedFrame(entry.inputs.pose, view.track, reading, entry.offset, entry.took_ms)
+        return seen, viewer.view(entry.frame, seen, shows_arc_light=False)
+
+
+class Painter:
+    """Renderer of frames for the page, with the setup of each job."""
+
+    def __init__(self, setups: Mapping[int, Setup]) -> None:
+        self._viewers = RunViewers(setups)
+
     def paint(self, entry: Entry, view: FrameView) -> MonitorPicture:
         """Return the picture of an entry with its view."""
-        viewer = self._viewer(entry.job_number)
-        seen = seen_frame(viewer.geometry.setup, entry, view)
-        shown = viewer.view(entry.frame, seen, shows_arc_light=False)
+        viewer = self._viewers.viewer(entry.job_number)
+        _, shown = self._viewers.view(entry, view)
         assert shown.grey is not None
         jpeg = _jpeg(shown.grey)
         height, width = shown.grey.shape
@@ -82,7 +102,7 @@ class Painter:
 
     def heat(self, entry: Entry, view: FrameView) -> bytes:
         """Return a message with the light of the arc that is expected in an entry's frame."""
-        geometry = self._viewer(entry.job_number).geometry
+        geometry = self._viewers.viewer(entry.job_number).geometry
         # 80 cells along the image's longer side.
         spacing = max(1, round(max(geometry.n_scan, geometry.n_pos) / 80))
         picture = _heat_picture(geometry, spacing, self._heat_e(geometry, spacing, entry, view))
@@ -103,18 +123,6 @@ class Painter:
         light_e = arc_map_of(geometry, kernel).at(scan * geometry.n_pos + position)
         level = reading.arc.level if math.isfinite(reading.arc.level) else 1.0
         return np.asarray(level * light_e, np.float32)
-
-    def _viewer(self, job_number: int) -> Viewer:
-        if job_number not in self._viewers:
-            setup = self._setups.get(job_number, next(iter(self._setups.values())))
-            self._viewers[job_number] = Viewer(SensorGeometry.of(setup), None)
-        return self._viewers[job_number]
-
-
-def seen_frame(setup: Setup, entry: Entry, view: FrameView) -> ReplayedFrame:
-    """Return a frame of a run with its view as a replay has it."""
-    reading = _reading(setup, entry, view)
-    return ReplayedFrame(entry.inputs.pose, view.track, reading, entry.offset, entry.took_ms)
 
 
 def _reading(setup: Setup, entry: Entry, view: FrameView) -> Reading | None:
