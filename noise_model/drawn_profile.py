@@ -10,7 +10,7 @@ from noise_model.arc.scene import Scene
 from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.instrument.profiler import Profiler
 from noise_model.setup import Setup
-from noise_model.transforms import invert, transform
+from noise_model.surface.joint import corrugation_height
 
 NOISE_MM, CORRELATED_COLUMNS = 0.01, 3
 """1 sigma of a height where a setup states none, mm; over so many columns speckle's grains reach."""
@@ -22,27 +22,52 @@ A reflective groove's profiles have 5 to 10 % and 3 to 6 %.
 """
 
 
+MAX_STEPS, MET_MM = 100, 1e-9
+"""Steps by which a column is met with a corrugation at most, and the last one's length.
+
+A sheet that leans so far that it may meet a ridge thrice is not followed there.
+"""
+
+
 def trace_heights(setup: Setup, scene: Scene) -> Float64:
     """Return the heights (columns,) of a scene's surface in the profile's frame, mm, NaN where none is lit.
 
-    A section is swept along the seam, so the sheet cuts it in a polyline with the same corners. What another
-    part hides from the laser's window is dark.
+    A face is a plane along the seam, raised by the ridges of a corrugation. What another part hides from the
+    laser's window is dark.
     """
     profiler = setup.profiler
     assert profiler is not None
-    if setup.joint.has_ridges:
-        raise ValueError("[joint] type: no profile is drawn of a corrugation; simulate images of it")
-    corners = scene.shape.vertices
-    T_profile_joint = invert(scene.T_joint_tool @ profiler.T_tool_profile)
-    n_x, n_y, n_z = T_profile_joint[0, :3]
-    x_mm = -(T_profile_joint[0, 3] + n_y * corners[:, 0] + n_z * corners[:, 1]) / n_x
-    line = transform(T_profile_joint, np.column_stack([x_mm, corners]))[:, 1:]
+    T_joint_profile = scene.T_joint_tool @ profiler.T_tool_profile
     y_mm, z_mm = profiler.y_mm, np.full(profiler.columns, np.nan)
-    for (y_a, z_a), (y_b, z_b) in pairwise(line):
-        if y_b > y_a:
-            on = (y_mm >= y_a) & (y_mm <= y_b)
-            z_mm[on] = np.fmax(z_mm[on], z_a + (z_b - z_a) * (y_mm[on] - y_a) / (y_b - y_a))
+    for corner, next_one in pairwise(scene.shape.vertices):
+        face_mm = _heights_on_face(corner, next_one, scene.shape.corrugation, T_joint_profile, y_mm)
+        z_mm = np.fmax(z_mm, face_mm)
     return np.where(_is_lit(y_mm, z_mm, profiler), z_mm, np.nan)
+
+
+def _heights_on_face(
+    corner: Float64, next_one: Float64, corrugation: Float64, T_joint_profile: Float64, y_mm: Float64
+) -> Float64:
+    """Return where columns (n,) meet a face between two corners (2,), mm; NaN beside it, or from below.
+
+    With its plane's normal m a face holds m.(p - corner) = m_z c(x), c the corrugation; c is iterated.
+    """
+    along = next_one - corner
+    (r_xz, r_yz, r_zz), normal = T_joint_profile[:3, 2], np.array([-along[1], along[0]])
+    slope = normal[0] * r_yz + normal[1] * r_zz
+    if not slope > 0.0:
+        return np.full(len(y_mm), np.nan)
+    x_0, y_0, z_0 = T_joint_profile[:3, 1:2] * y_mm + T_joint_profile[:3, 3:]
+    level = normal[0] * (corner[0] - y_0) + normal[1] * (corner[1] - z_0)
+    z_mm, ridge_mm, moved_mm = level / slope, np.zeros(len(y_mm)), np.full(len(y_mm), np.inf)
+    for _ in range(MAX_STEPS):
+        before_mm, ridge_mm = ridge_mm, corrugation_height(x_0 + r_xz * z_mm, corrugation)
+        z_mm, moved_mm = (level + normal[1] * ridge_mm) / slope, np.abs(ridge_mm - before_mm)
+        if (moved_mm < MET_MM).all():
+            break
+    place = (y_0 + r_yz * z_mm - corner[0]) * along[0] + (z_0 + r_zz * z_mm - ridge_mm - corner[1]) * along[1]
+    is_on = (place >= 0.0) & (place <= along @ along) & (moved_mm < MET_MM)
+    return np.where(is_on, z_mm, np.nan)
 
 
 def _is_lit(y_mm: Float64, z_mm: Float64, profiler: Profiler) -> Bool:

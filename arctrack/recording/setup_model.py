@@ -179,11 +179,6 @@ class ProfilerToml(RecordingToml):
         """Return the fields for the camera, sensor and laser to which the profiler amounts."""
         from noise_model.instrument.profiler import SENSOR
 
-        if self.joint.type == "corrugation":
-            raise ValueError(
-                "[joint] type = corrugation: not tracked from profiles; state another type, or track it by "
-                "a camera's images"
-            )
         profiler = self.camera.to_profiler()
         return {
             "profiler": profiler,

@@ -14,13 +14,15 @@ from noise_model.drawn_profile import draw_profile, spoilt_profile
 from noise_model.instrument.profiler import SENSOR, Profiler
 from noise_model.setup import Setup
 from noise_model.setup_keys import Tolerance
-from noise_model.surface.joint import Joint, SeamLine
+from noise_model.surface.joint import Joint, SeamLine, corrugation_height
 from tracker.state import Frame, Pose
 from tracker.stripe.profile_trace import BEGIN_NATS, ECHO_NATS, EDGE_NATS, TURN, likeliest_trace
 from tracker.tracker import Tracker
 
+AHEAD_MM = 40.0
 UPRIGHT = {
     "lap": {"thickness_mm": 5.0},
+    "corrugation": {"thickness_mm": 2.0, "height_mm": 6.0, "width_mm": 30.0, "pitch_mm": 60.0},
     "butt": {"thickness_mm": 6.0, "gap_mm": 1.315},
     "edge": {"thickness_mm": 4.0, "gap_mm": 1.315},
     "half_v": {"bevel_angle_deg": 45.0, "depth_mm": 6.0, "root_gap_mm": 1.0},
@@ -34,7 +36,7 @@ JOINTS = {
 
 def setup_of(type_name: str) -> Setup:
     T_tool_profile = np.eye(4)
-    T_tool_profile[0, 3] = 40.0
+    T_tool_profile[0, 3] = AHEAD_MM
     sensor = Profiler(1280, 0.03, 60.0, 150.0, T_tool_profile)
     joint = Joint(
         type=type_name,
@@ -113,6 +115,7 @@ def drawn_errors(type_name: str) -> tuple[Float64, int]:
             n_lost += 1
             continue
         height_mm = -(JOINTS | UPRIGHT)[type_name].get("depth_mm", 0.0)
+        height_mm += float(corrugation_height(T_base_tool[0, 3] + AHEAD_MM, scene.shape.corrugation))
         true_mm = 0.6 - T_base_tool[1, 3], height_mm - 0.2 - T_base_tool[2, 3]
         errors.append(
             [
