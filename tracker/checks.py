@@ -41,7 +41,7 @@ class Question:
     words: str
     demand: Demand
     flag: Flag
-    unit: Literal["", "mm", "share", "lines"] = ""
+    unit: Literal["", "mm", "deg", "share", "lines"] = ""
 
 
 class Check(NamedTuple):
@@ -252,6 +252,31 @@ TORCH_AFTER_START = Question(
     "torch_after_start", "distance of the torch before the joint's start", "at_most", flags.BEFORE_JOINT, "mm"
 )
 SEAM_MEASURED = Question("seam_measured", "some of the seam has been measured", "yes", flags.OFFSET_UNKNOWN)
+PASS_USABLE = Question("pass_usable", "the seam of the earlier pass is usable", "yes", flags.PASS_UNUSABLE)
+PASS_SHARE = Question(
+    "pass_share",
+    "share of the earlier pass in the seam where the torch stands",
+    "at_most",
+    flags.PASS_FOLLOWED,
+    "share",
+)
+PASS_AGREES_Y = Question(
+    "pass_agrees_y",
+    "distance in y from the seam of the earlier pass",
+    "at_most",
+    flags.PASS_CONTRADICTED,
+    "mm",
+)
+PASS_AGREES_Z = Question(
+    "pass_agrees_z",
+    "distance in z from the seam of the earlier pass",
+    "at_most",
+    flags.PASS_CONTRADICTED,
+    "mm",
+)
+PASS_TILT = Question(
+    "pass_tilt", "difference between the tool's tilt and the pass's", "at_most", flags.PASS_TILTED, "deg"
+)
 SEAM_NOT_LOST = Question(
     "seam_not_lost", "distance of the torch past the last measurement", "at_most", flags.OFFSET_HELD, "mm"
 )

@@ -88,6 +88,20 @@ STRIPE_AMBIGUOUS = Flag(
     "of two stripes neither is told to be the laser's: one is a reflection of the other",
     True,
 )
+PASS_FOLLOWED = Flag(
+    29, "pass_followed", "the offset rests on the seam of the earlier pass more than on what is seen now"
+)
+PASS_UNUSABLE = Flag(
+    30, "pass_unusable", "the seam of the earlier pass cannot be used: there is no offset without it"
+)
+PASS_CONTRADICTED = Flag(
+    31,
+    "pass_contradicted",
+    "the seam lies elsewhere than in the earlier pass, beyond the noise of both: there is no offset",
+)
+PASS_TILTED = Flag(
+    32, "pass_tilted", "the tool does not lean about the seam as the pass states: there is no offset"
+)
 
 FLAGS: tuple[Flag, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Flag))
 """Every flag, in order of its bit."""

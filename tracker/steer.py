@@ -14,12 +14,14 @@ from typing import NamedTuple
 
 from tracker import checks, flags
 from tracker.checks import FrameChecks
+from tracker.judge import jump_limit_mm
 from tracker.observation import FrameInput
 from tracker.seam.correction import CorrectedOffset, Correction, correct
+from tracker.seam.earlier_pass import MAX_TILT_OFF_DEG, EarlierPass, KnownSeam, tool_tilt_deg
 from tracker.seam.expected import ExpectedSeam
-from tracker.seam.gaussian_process import SPACING_MM, SeamHistory, stretch_at
+from tracker.seam.gaussian_process import SPACING_MM, stretch_at
 from tracker.seam.joint_ends import Change
-from tracker.seam.locate import SeamSource, confidence, ridge_mm
+from tracker.seam.locate import confidence, ridge_mm
 from tracker.state import UNKNOWN, Pair
 from tracker.tracker_state import Steering, TrackerMemory
 
@@ -37,9 +39,8 @@ class SeamAtTorch(NamedTuple):
 
 def seam_at_torch(
     frame_checks: FrameChecks,
-    source: SeamSource,
+    known: KnownSeam,
     correction: Correction,
-    history: SeamHistory,
     torch_mm: float,
     stretch_mm: Pair,
     goes_on: bool = False,
@@ -56,10 +57,12 @@ def seam_at_torch(
     if not ask(checks.TORCH_BEFORE_END, torch_mm - end_mm, 0.0):
         return SeamAtTorch()
     ask(checks.TORCH_AFTER_START, start_mm - torch_mm, 0.0)
-    if not frame_checks.ask_whether(checks.SEAM_MEASURED, history.n > 0):
-        return SeamAtTorch()
     station_mm = max(torch_mm, start_mm)
-    there = source.seam_at(history, station_mm)
+    if known.earlier is not None and not _is_as_before(frame_checks, known, station_mm):
+        return SeamAtTorch()
+    if not frame_checks.ask_whether(checks.SEAM_MEASURED, known.n > 0):
+        return SeamAtTorch()
+    there = known.at(station_mm)
     displacement, sigma = there.displacement_mm, there.sigma_mm
     lost_mm = torch_mm - there.last_mm if torch_mm >= start_mm and not goes_on else 0.0
     if correction.when_lost == "stop" and not ask(
@@ -67,7 +70,7 @@ def seam_at_torch(
     ):
         return SeamAtTorch(stops_following=True)
     if correction.when_lost == "hold" and not ask(checks.SEAM_NOT_LOST, lost_mm, 0.0):
-        held = source.seam_at(history, there.last_mm).displacement_mm
+        held = known.at(there.last_mm).displacement_mm
         gone_y_mm, gone_z_mm = displacement[0] - held[0], displacement[1] - held[1]
         sigma = math.hypot(sigma[0], gone_y_mm), math.hypot(sigma[1], gone_z_mm)
         displacement = held
@@ -78,6 +81,22 @@ def seam_at_torch(
     if not ask(checks.TORCH_SIGMA, max(sigma), correction.extrapolate_sigma_mm):
         return SeamAtTorch()
     return SeamAtTorch(displacement, sigma)
+
+
+def _is_as_before(frame_checks: FrameChecks, known: KnownSeam, station_mm: float) -> bool:
+    """Return True if an earlier pass is usable, and does not contradict what is seen now at a station."""
+    before = known.before(station_mm)
+    if not frame_checks.ask_whether(checks.PASS_USABLE, before is not None):
+        return False
+    assert before is not None
+    frame_checks.ask(checks.PASS_SHARE, known.share_before(station_mm), 0.5)
+    seen = known.source.seam_at(known.history, station_mm)
+    agrees = True
+    for question, axis in ((checks.PASS_AGREES_Y, 0), (checks.PASS_AGREES_Z, 1)):
+        away_mm = abs(seen.displacement_mm[axis] - before.displacement_mm[axis])
+        limit_mm = jump_limit_mm(before.sigma_mm[axis], seen.sigma_mm[axis] ** 2)
+        agrees = frame_checks.ask(question, away_mm, limit_mm) and agrees
+    return agrees
 
 
 class TorchOffset(NamedTuple):
@@ -109,7 +128,10 @@ def steer(
         ends = ends.with_look(expected.line.station_mm, is_valid, expected.ends_mm, correction.ends_mm)
     joint_mm = ends.stretch_mm(expected.ends_mm, correction.ends_mm)
     history, is_present = stretch_at(state.history, state.behind, max(torch_mm, joint_mm[0]))
-    seam = seam_at_torch(frame_checks, source, correction, history, torch_mm, joint_mm, not is_present)
+    known = KnownSeam(source, history, state.earlier)
+    seam = SeamAtTorch()
+    if _is_tilted_as_stated(frame_checks, given, expected, state.earlier):
+        seam = seam_at_torch(frame_checks, known, correction, torch_mm, joint_mm, not is_present)
     height_mm = 0.0
     if correction.corrugation == "followed":
         height_mm = ridge_mm(torch_mm, source.scene.shape.corrugation)
@@ -122,6 +144,11 @@ def steer(
     sigma_y_mm = math.nan if math.isnan(y_mm) else seam.sigma_mm[0]
     sigma_z_mm = math.nan if math.isnan(z_mm) else seam.sigma_mm[1]
     calibration_y, calibration_z = steering.hand_eye_variance_mm2
+    if state.earlier is not None:
+        # The same calibration's, of either pass.
+        calibration_y, calibration_z = map(
+            max, steering.hand_eye_variance_mm2, state.earlier.calibration_variance_mm2
+        )
     weld_mm, timestamp_s = source.weld_mm, float(given.frame.timestamp_s)
     offset = TorchOffset(
         offset_y_mm=y_mm,
@@ -134,6 +161,17 @@ def steer(
         joint_end_mm=_where(ends.end),
     )
     return steering._replace(ends=ends, is_stopped=sent.is_stopped), offset
+
+
+def _is_tilted_as_stated(
+    frame_checks: FrameChecks, given: FrameInput, expected: ExpectedSeam, earlier: EarlierPass | None
+) -> bool:
+    """Return True if the tool leans as the pass states, or no earlier pass says how."""
+    if earlier is None or earlier.history.n == 0:
+        return True
+    T_joint_tool = given.geometry.seam_source.T_joint_base[expected.torch_segment] @ given.T_base_tool
+    off_deg = earlier.tilt_off_deg(expected.torch_mm, tool_tilt_deg(T_joint_tool))
+    return frame_checks.ask(checks.PASS_TILT, off_deg, MAX_TILT_OFF_DEG)
 
 
 def _confidence(weld_mm: float, variance_y_mm2: float, variance_z_mm2: float) -> float:

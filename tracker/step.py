@@ -17,7 +17,9 @@ from tracker.judge import SeamEstimate
 from tracker.observation import MISFIT_LIMIT, FrameInput, Reading
 from tracker.pipeline import FrameResult, track_frame
 from tracker.seam.correction import UNSTATED, Correction
+from tracker.seam.expected import expect_torch, is_rotation
 from tracker.state import AT_ONCE, NAN, NO_SHAPE, Frame, OffsetLookAhead, Pose, Track, frame_misfit
+from tracker.steer import steer
 from tracker.stripe.read import Work
 from tracker.tracker_state import TrackerMemory
 
@@ -76,6 +78,8 @@ def step(
         lead=lead,
         arc_burns=frame.arc_on,
     )
+    if state.earlier is not None and not state.earlier.uses_laser:
+        return _follow_blind(given, frame_checks)
     tracked = track_frame(given, frame_checks)
     if tracked is None:
         return _refused(state, frame_checks, frame)
@@ -86,6 +90,23 @@ def step(
     if plain is None or not _track(frame, plain).valid:
         return by_map
     return _as_contradicted(frame, plain, tracked.reading)
+
+
+def _follow_blind(given: FrameInput, frame_checks: FrameChecks) -> tuple[TrackerMemory, Track, None]:
+    """Return the step of a pass that follows an earlier one without the laser; the frame is its time."""
+    source, frame, before = given.geometry.seam_source, given.frame, given.state
+    frame_checks.ask_whether(checks.FRAME_FORMAT, True)
+    frame_checks.ask_whether(checks.POSE_KNOWN, True)
+    frame_checks.ask_whether(checks.POSE_BRACKETED, not given.is_extrapolated)
+    if not frame_checks.ask_whether(checks.POSE_RIGID, is_rotation(given.T_base_tool.tolist())):
+        return _refused(before, frame_checks, frame)
+    frame_checks.ask_whether(checks.LASER_ON, False)
+    expected = expect_torch(source, given.T_base_tool)
+    steering, offset = steer(frame_checks, given, expected, before, False)
+    track = Track(
+        frame.index, frame.timestamp_s, frame_checks.flags, **offset._asdict(), checks=frame_checks.answers
+    )
+    return before._replace(steering=steering, frames=before.frames + 1), track, None
 
 
 def _contradicts_map(reading: Reading) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from tracker import flags
+from tracker.seam.earlier_pass import EarlierPass
 from tracker.seam.gaussian_process import NO_HISTORY, SeamHistory
 from tracker.seam.joint_ends import JointEnds
 from tracker.state import Pair
@@ -40,7 +41,7 @@ class TrackerMemory(NamedTuple):
     history if it goes on; `behind` are the latest stretches before, the oldest first, in which the torch may
     still stand. `scatter` is the stripes' scatter beyond photon noise. `jumps` counts frames with the joint
     elsewhere since it was last where expected, the first of which has number `jumped_at`; `lost` counts the
-    latest frames in a row without a joint.
+    latest frames in a row without a joint. `earlier` is the pass that is followed again, None for none.
     """
 
     history: SeamHistory = NO_HISTORY
@@ -52,6 +53,7 @@ class TrackerMemory(NamedTuple):
     jumped_at: int = 0
     lost: int = 0
     frames: int = 0
+    earlier: EarlierPass | None = None
 
     @property
     def lasting_flags(self) -> int:

@@ -19,6 +19,7 @@ from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.csv_file import number, number_or_unknown, read_csv, whole
 from arctrack.recording.files import blamed_on, read_text
+from tracker.seam.earlier_pass import EarlierPass
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.seam.joint_ends import Change, JointEnds
 from tracker.state import NAN, OffsetLookAhead, Pose
@@ -45,7 +46,16 @@ COLUMNS = {
 
 RECORDS = {
     record.__name__: record
-    for record in (TrackerMemory, SeamHistory, Steering, JointEnds, Change, Scatter, FrameScatter)
+    for record in (
+        TrackerMemory,
+        SeamHistory,
+        EarlierPass,
+        Steering,
+        JointEnds,
+        Change,
+        Scatter,
+        FrameScatter,
+    )
 }
 """Records of a state."""
 

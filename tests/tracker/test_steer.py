@@ -16,6 +16,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker.checks import FrameChecks
 from tracker.seam.correction import AxisCorrection, Correction
+from tracker.seam.earlier_pass import KnownSeam
 from tracker.seam.gaussian_process import (
     BEND_LENGTH_MM,
     BEND_SIGMA_MM,
@@ -68,7 +69,8 @@ def at_torch(
 ) -> Told:
     frame_checks = FrameChecks()
     return Told(
-        seam_at_torch(frame_checks, SOURCE, correction, history, torch_mm, stretch_mm), frame_checks.flags
+        seam_at_torch(frame_checks, KnownSeam(SOURCE, history), correction, torch_mm, stretch_mm),
+        frame_checks.flags,
     )
 
 

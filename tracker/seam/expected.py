@@ -127,6 +127,14 @@ def expect_seam(source: SeamSource, T_base_tool: Float64, history: SeamHistory) 
     )
 
 
+def expect_torch(source: SeamSource, T_base_tool: Float64) -> ExpectedSeam:
+    """Return the expectation of a pose (4, 4) whose sensor is not used: of the torch alone."""
+    segment, torch_mm = torch_station_mm(source, T_base_tool.tolist())
+    T_joint_tool = source.T_joint_base[segment] @ T_base_tool
+    unseen = SeamLine(math.nan), (math.nan, math.nan)
+    return ExpectedSeam(segment, math.nan, T_joint_tool, *unseen, segment, torch_mm, source.ends_mm)
+
+
 def torch_station_mm(source: SeamSource, T_base_tool: Matrix) -> tuple[int, float]:
     """Return the torch's segment and station, mm: past a bend that is another one than the sensor's."""
     (_, _, _, x), (_, _, _, y), (_, _, _, z), _ = T_base_tool
