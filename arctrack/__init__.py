@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from arctrack.errors import ArctrackError as ArctrackError
+    from arctrack.live.cameras.profile_message import pack_profile as pack_profile
     from arctrack.nominal import nominal_setup as nominal_setup
     from arctrack.recording import BadFrame as BadFrame
     from arctrack.recording import Recording as Recording
@@ -41,6 +42,7 @@ _HOME_OF = {
     "Track": "tracker.state:Track",
     "Tracker": "tracker.tracker:Tracker",
     "nominal_setup": "arctrack.nominal:nominal_setup",
+    "pack_profile": "arctrack.live.cameras.profile_message:pack_profile",
     "read_recording": "arctrack.recording:read_recording",
     "read_setup_file": "arctrack.recording:read_setup_file",
     "read_truth": "arctrack.recording:read_truth",

@@ -35,6 +35,7 @@ KEYS_OF_KIND: dict[str, tuple[str, ...]] = {
     "video": ("loop",),
     "folder": ("loop",),
     "device": (),
+    "profile_tcp": (),
     "gige": tuple(f.name for f in fields(CaptureChoice) if f.name != "loop"),
 }
 """Keys of [camera] by its kind, in addition to kind, name and frame_rate_hz."""
@@ -106,14 +107,16 @@ class CellCameraTable(Table):
     frame_rate_hz: Rate = key(
         "Frame rate", "Hz", example="25.0", note="Four messages go with each frame: the bus' load."
     )
-    kind: Literal["shared_memory", "recording", "video", "folder", "device", "gige"] | None = key(
-        "Where the frames of a live run come from",
-        default=None,
-        example='"shared_memory"',
-        note='"shared_memory": another process publishes them; "recording": one is played.',
+    kind: Literal["shared_memory", "recording", "video", "folder", "device", "gige", "profile_tcp"] | None = (
+        key(
+            "Where the frames of a live run come from",
+            default=None,
+            example='"shared_memory"',
+            note='"shared_memory": another process publishes them; "recording": one is played.',
+        )
     )
     name: str | None = key(
-        "Which one of its kind: the frames' name, a file, a folder, a device, a camera's id or address",
+        "Which one of its kind: a name of frames, a file, a folder, a device, an id or address, HOST:PORT",
         default=None,
         example='"cell"',
         min_length=1,

@@ -11,6 +11,7 @@ from arctrack.live.cameras.capture.device import device_source
 from arctrack.live.cameras.capture.files import folder_source, sidecar_of, video_source
 from arctrack.live.cameras.capture.gige import gige_source
 from arctrack.live.cameras.capture.process import OVER, Open, run_capture
+from arctrack.live.cameras.capture.profile_stream import profile_stream
 from arctrack.live.cameras.shared_frames import path_of
 from arctrack.live.cameras.shared_memory import SharedMemoryCamera
 from arctrack.live.journal.message_pipe import message_pipe
@@ -29,7 +30,10 @@ class CapturedCamera(SharedMemoryCamera):
     """
 
     def __init__(self, choice: CameraChoice, cell_path: Path, setup: Setup) -> None:
-        opened, traits = _opening(choice, cell_path, setup)
+        try:
+            opened, traits = _opening(choice, cell_path, setup)
+        except ArctrackError as error:
+            raise in_file(cell_path, str(error)) from None
         name = f"captured-{os.getpid()}"
         self._pipe, its_end = message_pipe()
         self.process = SupervisedProcess(
@@ -75,6 +79,19 @@ def _opening(choice: CameraChoice, cell_path: Path, setup: Setup) -> tuple[Open,
         if choice.kind == "video":
             return partial(video_source, path, setup, options.loop), traits
         return partial(folder_source, path, setup, choice.frame_rate_hz, options.loop), traits
+    if choice.kind == "profile_tcp":
+        if setup.profiler is None:
+            raise ArctrackError(
+                "[camera] kind = 'profile_tcp': gives profiles, the setup's camera gives images; "
+                "state kind = 'profile' in the setup's [camera]"
+            )
+        traits = CameraTraits(knows_arc=False, switches_laser=False)
+        return partial(profile_stream, choice.name, setup.profiler), traits
+    if setup.profiler is not None:
+        raise ArctrackError(
+            f"[camera] kind = {choice.kind!r}: gives images, the setup's camera is a profiler; "
+            "state kind = 'profile_tcp' or 'shared_memory'"
+        )
     if choice.kind == "device":
         traits = CameraTraits(knows_arc=False, switches_laser=False)
         return partial(device_source, choice.name, setup, choice.frame_rate_hz), traits

@@ -22,8 +22,9 @@ def run_capture(open_source: Open, setup: Setup, name: str, parent: Connection, 
     """Publish a source's frames under a name, from the loop's first message until the parent is gone.
 
     The parent is told once the source is open; the loop is sent 'over' once it has ended. A source that fails
-    later is reopened, again and again. The loop's message stays in its pipe: a process that takes over begins
-    at once. ArctrackError if the source cannot be opened, or its frames not be published.
+    later is reopened, again and again; the parent is told why, and "" once it is open. The loop's message
+    stays in its pipe: a process that takes over begins at once. ArctrackError if the source cannot be opened,
+    or its frames not be published.
     """
     remove_line(name)
     try:
@@ -58,8 +59,9 @@ def _publish(
             return
         try:
             frame = source.read()
-        except ArctrackError:
+        except ArctrackError as error:
             source.close()
+            parent.send(str(error))
             again = _opened_again(open_source, name, parent)
             if again is None:
                 return
@@ -76,8 +78,10 @@ def _opened_again(open_source: Open, name: str, parent: Connection) -> FrameSour
     while not parent.poll(1.0):
         try:
             source = open_source(partial(read_line, name))
-        except ArctrackError:
+        except ArctrackError as error:
+            parent.send(str(error))
             continue
         source.begin()
+        parent.send("")
         return source
     return None

@@ -16,7 +16,7 @@ import pytest
 from arctrack.control.cell_file import CameraChoice, CaptureChoice
 from arctrack.errors import ArctrackError
 from arctrack.live.cameras.camera_line import SLACK_S, CaptureRequest
-from arctrack.live.cameras.capture.gige import WINDOW_S, DeviceClock
+from arctrack.live.cameras.capture.device_clock import WINDOW_S, DeviceClock
 from arctrack.live.journal.private_memory import private_path
 from arctrack.nominal import nominal_setup
 
