@@ -102,10 +102,11 @@ def check(
     from arctrack.cli import console
     from arctrack.cli.exit_codes import WARNED
     from arctrack.output import write_whole
-    from arctrack.recording import read_recording
+    from arctrack.recording import read_recording, require_images
     from arctrack.replay.replay import RESULTS_FOLDER
 
     read = read_recording(recording, setup_path(setup), must_fit=False)
+    require_images(read.setup, read.setup_path, "arctrack check asks a profiler's recording")
     console.warn(read.warnings)
     page = report or recording / RESULTS_FOLDER / "calibrate_check.html"
     if report is None:

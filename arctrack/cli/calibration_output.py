@@ -96,7 +96,11 @@ def run_calibration(
     could not be read.
     """
     from arctrack.cli import console
+    from arctrack.recording import require_images
 
+    if recording is not None and name != "delay":
+        instead = "state the profile's place in [camera.pose_in_tool]"
+        require_images(recording.setup, recording.setup_path, instead)
     target = out or setup
     page = report or (Path() if target is None else target.parent) / f"calibrate_{name}.html"
     check_outputs(target, page, setup, recording, images, poses)

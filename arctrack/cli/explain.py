@@ -44,7 +44,6 @@ def explain(
 
     read = read_recording(recording, setup)
     console.warn(read.warnings)
-    engine.check_gives_images(read)
     path = out or recording / RESULTS_FOLDER / f"explain_{frame:06d}.html"
     if not section:
         check_replaces_nothing(path, read)

@@ -143,13 +143,17 @@ COUNTED = {
 
 def _read(source: Path, recorded: bool) -> tuple[Setup, list[Float64] | None]:
     from arctrack.cli import console
-    from arctrack.recording import read_recording
+    from arctrack.recording import read_recording, require_images
 
+    instead = "a profiler's place is its [camera.pose_in_tool]: arctrack simulate shows what it sees there"
     if recorded:
         read = read_recording(source)
+        require_images(read.setup, read.setup_path, instead)
         console.warn(read.warnings)
         return read.setup, list(read.poses.T_base_tool)
-    return read_setup(source).setup, None
+    stated = read_setup(source)
+    require_images(stated.setup, stated.path, instead)
+    return stated.setup, None
 
 
 def _plan(source: Path, setup: Setup, options: PlanOptions, poses: list[Float64] | None) -> Plan:

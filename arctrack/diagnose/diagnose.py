@@ -13,7 +13,7 @@ from arctrack.diagnose.diagnosis_files import FILES, REPORT_PAGE, write_numbers
 from arctrack.errors import ArctrackError, in_file
 from arctrack.output import folders_for, make_folder, real, write_whole
 from arctrack.printable import printable
-from arctrack.recording import pose_at, read_recording
+from arctrack.recording import pose_at, read_recording, require_images
 from arctrack.recording.setup_file import with_effects
 from arctrack.recording.setup_writer import FILE_NAME
 from arctrack.workers import FailedJob
@@ -95,6 +95,7 @@ def diagnose_recording(
     from sim_to_real.diagnose import diagnose
 
     recording = read_recording(job.recording, job.setup_path)
+    require_images(recording.setup, recording.setup_path, "arctrack check asks a profiler's recording")
     make_folder(job.folder, FILES)
     frames, bad_frames = recording.readable_frames()
     poses = recording.pose_buffer()

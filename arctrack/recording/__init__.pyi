@@ -5,6 +5,7 @@ from .reader import Recording as Recording, read_recording as read_recording, re
 from .setup_file import (
     SetupFile as SetupFile,
     read_setup_file as read_setup_file,
+    require_images as require_images,
     with_camera_pose as with_camera_pose,
     with_filter_curve as with_filter_curve,
 )

@@ -85,6 +85,12 @@ def read_setup_file(path: Path | str) -> SetupFile:
     return parse_setup(setup_text(path), path)
 
 
+def require_images(setup: Setup, path: Path, instead: str) -> None:
+    """Raise ArctrackError, with what to do instead, for a setup whose camera is a profiler."""
+    if setup.profiler is not None:
+        raise in_file(path, f'[camera] kind = "profile": this reads images alone; {instead}')
+
+
 def setup_text(path: Path) -> str:
     """Return the text of a recording.toml; ArctrackError if there is none."""
     if path.is_dir():

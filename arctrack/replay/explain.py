@@ -13,7 +13,7 @@ from skimage.measure import approximate_polygon
 
 from arctrack.control.recorded_job import recorded_job
 from arctrack.errors import ArctrackError, in_file
-from arctrack.recording import BadFrame, Recording
+from arctrack.recording import BadFrame, Recording, require_images
 from arctrack.replay.arc_light import arc_light
 from arctrack.replay.explain_lines import Refusals, SigmaParts, refusals, sigma_parts
 from arctrack.replay.replay_loop import replay_without_bus
@@ -106,13 +106,6 @@ class Explanation:
     look: StepObservation | None
 
 
-def check_gives_images(recording: Recording) -> None:
-    """Raise ArctrackError for a profiler's recording: what is explained is read from images."""
-    if recording.setup.profiler is not None:
-        cure = "images are explained; replay.html has each profile, its checks and its section"
-        raise in_file(recording.setup_path, f'[camera] kind = "profile": only {cure}')
-
-
 def explain(
     recording: Recording, index: int, use_arc_map: bool = True, on_frame: Callable[[int], None] | None = None
 ) -> Explanation:
@@ -120,7 +113,7 @@ def explain(
 
     Raises ArctrackError if the recording has no such frame, or if it cannot be read.
     """
-    check_gives_images(recording)
+    require_images(recording.setup, recording.setup_path, "replay.html has each profile and its checks")
     positions = range(position_of(recording, index) + 1)
     job = recorded_job(recording, use_arc_map=use_arc_map)
     outcomes = replay_without_bus(job, positions)

@@ -14,9 +14,11 @@ from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.live.cameras.shared_frames import SharedFramesWriter
 from arctrack.live.cameras.shared_memory import SharedMemoryCamera
+from arctrack.live.doctor.steps import time_steps
 from arctrack.recording import BadFrame, format_setup, read_recording, read_setup_file
 from arctrack.recording.setup_file import parse_setup
 from tracker.state import Frame
+from tracker.tracker import Tracker
 
 RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
 SETUP = profiler_setup(640, 0.06, range_mm=30.0, depth_mm=6.0, root_gap_mm=1.0)
@@ -78,5 +80,14 @@ def test_a_recording_is_simulated_replayed_and_checked(tmp_path: Path, joint: st
     assert '"shows_light":false' in page
     assert "brightness by" not in page
     run("check", made)
-    with pytest.raises(ArctrackError, match="only images are explained"):
-        raise RUNNER.invoke(app, ["explain", str(made), "1"]).exception or AssertionError
+    problem = f'{made / "recording.toml"}: [camera] kind = "profile": this reads images alone'
+    for command in ("explain {} 1", "diagnose {}", "calibrate check {} {}", "calibrate sheet {}", "plan {}"):
+        done = RUNNER.invoke(app, command.format(made, made).split())
+        assert done.exit_code != 0, command
+        assert problem in f"{done.exception} {done.output}", command
+
+
+@pytest.mark.slow
+def test_the_doctor_times_steps_on_profiles(tmp_path: Path) -> None:
+    setup = parse_setup(SETUP, tmp_path / "recording.toml").setup
+    assert time_steps(Tracker(setup), 16, lambda _: None).valid_share == 1.0

@@ -167,15 +167,15 @@ def budget_finding(budget: Budget) -> DoctorFinding:
 
 def bandwidth_finding(setup: Setup, rate_hz: float, is_ethernet: bool) -> DoctorFinding:
     """Find the share of a gigabit line that a camera's images take; too much fails on Ethernet."""
-    camera, bits = setup.camera, 8 * pixel_bytes(setup)
-    sent_s, rows = transfer_s(image_bytes(setup)), max_rows(camera.width, pixel_bytes(setup), rate_hz)
+    (height, width), n_bytes = setup.frame_shape, pixel_bytes(setup)
+    sent_s, rows = transfer_s(image_bytes(setup)), max_rows(width, n_bytes, rate_hz)
     return judged(
         "bandwidth",
-        f"{camera.height} rows of {camera.width} px, {bits} bit, {rate_hz:g} a second take "
+        f"{height} rows of {width} px, {8 * n_bytes} bit, {rate_hz:g} a second take "
         f"{100.0 * rate_hz * sent_s:.0f} % of gigabit Ethernet, {1e3 * sent_s:.1f} ms each",
         FindingState.FAILED if is_ethernet else FindingState.WARNING,
         f"it carries {rows} rows at this rate: read fewer, or use a faster line",
-        camera.height <= rows,
+        height <= rows,
     )
 
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from arctrack.live.serve.latency import LatencyCounts, Quantiles
+from noise_model.arc.scene import make_scene
 from noise_model.condition import Condition
+from noise_model.drawn_profile import draw_profile
 from noise_model.forward import draw_frame
 from noise_model.surface.joint import seam_frame
 from tracker.state import Frame, Pose
@@ -89,6 +91,9 @@ def _poses(tracker: Tracker) -> list[Pose]:
 
 def _frame(tracker: Tracker, index: int, pose: Pose) -> Frame:
     setup = tracker.geometry.setup
-    exposure_s = setup.camera.exposure_s
-    image = draw_frame(setup, pose.T_base_tool, Condition(1.0, 1.0, exposure_s), np.random.default_rng(index))
+    exposure_s, rng = setup.camera.exposure_s, np.random.default_rng(index)
+    if setup.profiler is None:
+        image = draw_frame(setup, pose.T_base_tool, Condition(1.0, 1.0, exposure_s), rng)
+    else:
+        image = draw_profile(setup, make_scene(setup, pose.T_base_tool), rng)
     return Frame(index, 0.04 * index, image, exposure_s, setup.arc.current_a)
