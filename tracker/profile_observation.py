@@ -48,6 +48,13 @@ from tracker.stripe.scatter import N_NUMBERS, FrameScatter, Scatter, add_frame, 
 REACH_MM, SHIFT_STEP_MM = 3.0, 0.2
 """Points count up to so far off the stated section, displaced in such steps: plates and bevels tilt."""
 
+FINE_STEP_MM = 0.02
+"""The steps of a second search next to the best of the first.
+
+By half of one a bevel's points lie a third of a column's pitch off, as by their noise. By half of a step of
+the first they lie three pitches off, and the trace takes a whole bevel for echoes.
+"""
+
 
 class ProfileReading(NamedTuple):
     """Points of a profile as a stripe, its scan lines (N_ROWS, n), and the scatter up to this frame.
@@ -110,7 +117,8 @@ def read_profile(given: FrameInput, aim: Aim) -> ProfileReading:
     )
     before, frames = aim.scatter.average.numbers, aim.scatter.frames
     step_px = math.hypot(own_px, math.sqrt(line_variance_px2(before)) if frames else _neighbours_px(off_px))
-    kept = near[likeliest_trace(near.astype(np.float64), off_px[near], step_px)]
+    on_trace = likeliest_trace(near.astype(np.float64), off_px[near], step_px)
+    kept = near[on_trace]
     n = len(centre_px)
     fits = np.full((n, N_FITTED), math.nan)
     fits[kept, 0], fits[kept, 2], fits[kept, 3] = centre_px[kept], codes[1, kept], 1.0
@@ -137,7 +145,7 @@ def read_profile(given: FrameInput, aim: Aim) -> ProfileReading:
     widen(after, own, ones, 0.0, lines[SIGMA_PX], lines[BESIDE_PX])
     left_out = lines.copy()
     left_out[CENTRE_PX] = math.nan
-    others = np.setdiff1d(near, kept)
+    others = near[~on_trace]
     left_out[CENTRE_PX, others] = centre_px[others]
     if len(kept):
         # All have one sigma.
@@ -167,7 +175,9 @@ def off_expected_px(geometry: SensorGeometry, aim: Aim, centre_px: Float64) -> F
     if points.shape[1] < MIN_POINTS:
         return off_px
     y_mm, z_mm = points[Y_MM], points[Z_MM]
-    aside_mm, up_mm = shift_of(y_mm, z_mm, aim.reach_mm + REACH_MM, corners, 0.0, SHIFT_STEP_MM, REACH_MM)
+    coarse_mm, _ = shift_of(y_mm, z_mm, aim.reach_mm + REACH_MM, corners, 0.0, SHIFT_STEP_MM, REACH_MM)
+    fine_mm, up_mm = shift_of(y_mm - coarse_mm, z_mm, SHIFT_STEP_MM, corners, 0.0, FINE_STEP_MM, REACH_MM)
+    aside_mm = coarse_mm + fine_mm
     off_mm = section_at(corners, y_mm - aside_mm)[0] + up_mm - z_mm
     for face_mm in faces_of_edges(corners, y_mm - aside_mm):
         other_mm = face_mm + up_mm - z_mm
@@ -191,9 +201,9 @@ def faces_of_edges(corners_mm: Float64, y_mm: Float64) -> Iterator[Float64]:
 
 def own_sigma_px(codes: Integers, stated_px: float, step_px: float) -> float:
     """Return 1 sigma of a height by itself: as stated, or by the steps in which a profile's heights come."""
-    levels = np.unique(codes[codes > 0])
-    steps = np.diff(levels.astype(np.float64))
-    return max(stated_px, step_px * (float(steps.min()) if len(steps) else 1.0) / math.sqrt(12.0))
+    steps = np.diff(np.sort(codes[codes > 0]))
+    apart = steps[steps > 0]
+    return max(stated_px, step_px * (float(apart.min()) if len(apart) else 1.0) / math.sqrt(12.0))
 
 
 def _neighbours_px(off_px: Float64) -> float:

@@ -34,13 +34,13 @@ JOINTS = {
 }
 
 
-def setup_of(type_name: str) -> Setup:
+def setup_of(type_name: str, columns: int = 1280, pitch_mm: float = 0.03, **size: float) -> Setup:
     T_tool_profile = np.eye(4)
     T_tool_profile[0, 3] = AHEAD_MM
-    sensor = Profiler(1280, 0.03, 60.0, 150.0, T_tool_profile)
+    sensor = Profiler(columns, pitch_mm, 60.0, 150.0, T_tool_profile)
     joint = Joint(
         type=type_name,
-        dimensions=(JOINTS | UPRIGHT)[type_name],
+        dimensions=(JOINTS | UPRIGHT)[type_name] | size,
         seam_in_base_mm=((0.0, 0.0, 0.0), (200.0, 0.0, 0.0)),
         surface_normal_in_base=(0.0, 0.0, 1.0),
     )
@@ -146,6 +146,19 @@ def test_error_over_sigma_of_upright_edges(type_name: str) -> None:
     # Where few columns tell how often a sheet misses them, as of an edge, sigma is the wider.
     assert (error_over_sigma > 0.5).all()
     assert (error_over_sigma < 1.3).all()
+
+
+@pytest.mark.slow
+def test_a_groove_of_few_columns_is_found_wherever_it_lies_between_two_steps() -> None:
+    setup, rng = setup_of("v_groove", 640, 0.06, depth_mm=3.5), np.random.default_rng(3)
+    n_found = 0
+    for _ in range(30):
+        seam = SeamLine(0.0, rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0), 0.0, 0.0, 0.02 * rng.normal())
+        image = draw_profile(setup, make_scene(setup, np.eye(4), seam), rng)
+        track = Tracker(setup).step(Frame(0, 0.0, image, 0.001, arc_on=False), Pose(np.eye(4)))
+        n_found += track.valid
+    # Echoes of 12 columns in one of 8 profiles lie in the groove.
+    assert n_found >= 28
 
 
 @pytest.mark.slow
