@@ -8,7 +8,6 @@ with it and one without (`found_end`); two lines meet at a corner (`found_corner
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -163,9 +162,7 @@ class Finder:
     def __init__(self, geometry: SensorGeometry) -> None:
         self.geometry = geometry
         self._work = Work.of(geometry)
-        setup = geometry.setup
-        stated = f"{setup.camera!r}{setup.laser!r}{setup.calibration_errors!r}"
-        self.calibration = hashlib.sha256(stated.encode()).hexdigest()[:12]
+        self.calibration = geometry.calibration_digest
 
     def section(self, frame: Frame, pose: Pose) -> tuple[JointSection | None, Track]:
         """Return the section that a frame shows, None if none, and the track that it stands on.

@@ -6,6 +6,7 @@ otherwise its rows; positions along a scan line are pixels. All kernels see the 
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -163,6 +164,13 @@ class SensorGeometry:
         for name, table in vars(type(self)).items():
             if isinstance(table, cached_property):
                 getattr(self, name)
+
+    @cached_property
+    def calibration_digest(self) -> str:
+        """Digest of camera, laser and their errors, twelve hexadecimal digits."""
+        setup = self.setup
+        stated = f"{setup.camera!r}{setup.laser!r}{setup.calibration_errors!r}"
+        return hashlib.sha256(stated.encode()).hexdigest()[:12]
 
     @cached_property
     def has_light_effects(self) -> bool:

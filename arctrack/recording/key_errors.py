@@ -31,9 +31,9 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
     where = str(location[0]) if is_plain and len(location) == 1 else place(location)
     cure = ""
     if first["type"] == "missing":
-        hint = meant_by(
-            str(location[-1]), (name for name in first["input"] if name not in table.model_fields)
-        )
+        # A tuple that is too short lacks a number.
+        names = first["input"] if isinstance(first["input"], dict) else ()
+        hint = meant_by(str(location[-1]), (name for name in names if name not in table.model_fields))
         text = f"{where}: missing{hint}"
         meaning = "" if hint or field is None else meaning_of(field).removesuffix(".")
         cure = meaning and f"; state it: {meaning[:1].lower()}{meaning[1:]}"
