@@ -151,10 +151,11 @@ class Controller:
         return self._fault
 
     def is_laser_on(self, now_s: float) -> bool:
-        """Return True if the laser may be on: commanded, by a robot that is not silent, and no fault."""
+        """Return True if the laser may be on: for this job, commanded by a robot, and no fault."""
         command = self._fresh_command(now_s)
         return (
             command is not None
+            and self.job.uses_laser
             and command.laser_enable is Switch.ON
             and command.command not in (Command.DISARM, Command.RESET)
             and self._fault is Fault.NONE

@@ -2,18 +2,24 @@
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from arctrack.control.innovation import SeamMeasurement
+from arctrack.recording.weld_schedule import WeldValues
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert, transform
 from robot_io import PoseAt, PoseStatus, RobotStatus
 from tracker import flags
+from tracker.geometry import SensorGeometry
 from tracker.observation import Reading
 from tracker.seam.correction import UNSTATED, Correction
+from tracker.seam.earlier_pass import EarlierPass
 from tracker.seam.locate import seam_displacement
 from tracker.state import NAN, Frame, OffsetLookAhead, Pose, Track
 from tracker.step import StepInputs
@@ -52,24 +58,75 @@ class TrackedFrame:
     """A frame's track and what it was made of.
 
     `seam` is the seam as the pose puts it, None where none was measured. `took_ms` is the time from frame and
-    pose to the track. It is NaN, and `step` None, where there was no frame to step.
+    pose to the track. It is NaN, and `step` None, where there was no frame to step. `weld` is what the weld
+    schedule gives for the torch's place, None without one.
     """
 
     track: Track
     seam: SeamMeasurement | None = None
     step: FrameStep | None = None
     took_ms: float = NAN
+    weld: WeldValues | None = None
+
+
+class PassFrame(NamedTuple):
+    """A tracked frame of a pass: its track, the seam that it measured, None for none, and its pose.
+
+    `T_base_tool` is (4, 4), mm; `calibration_variance_mm2` is the calibration's part in the variances of the
+    track's (y, z).
+    """
+
+    track: Track
+    seam: SeamMeasurement | None
+    T_base_tool: Float64
+    calibration_variance_mm2: tuple[float, float]
+
+
+class PassKeeper(Protocol):
+    """Keeper of a seam from pass to pass; see `SeamPasses`."""
+
+    def begin(self) -> EarlierPass | None:
+        """Begin a pass; return the one that it follows again, None for none."""
+
+    def add(self, frame: PassFrame) -> None:
+        """Take a frame whose pose is trusted."""
+
+    def finish(self) -> None:
+        """End a pass."""
+
+    def weld_at(self, T_base_tool: Float64, look_ahead: OffsetLookAhead) -> WeldValues | None:
+        """Return the weld's inputs where the torch will stand, None without a schedule."""
 
 
 class FrameTracking:
-    """Tracker of one seam; see `Tracker` of the arguments."""
+    """Tracker of one seam; see `Tracker` of the arguments.
 
-    def __init__(self, setup: Setup, correction: Correction = UNSTATED, use_arc_map: bool = True) -> None:
+    `make_passes` makes what keeps the seam from pass to pass; without it there is one pass.
+    """
+
+    def __init__(
+        self,
+        setup: Setup,
+        correction: Correction = UNSTATED,
+        use_arc_map: bool = True,
+        make_passes: Callable[[SensorGeometry], PassKeeper] | None = None,
+    ) -> None:
         self.tracker = Tracker(setup, use_arc_map, correction)
+        self._passes = None if make_passes is None else make_passes(self.tracker.geometry)
+        self.begin()
 
     def begin(self) -> None:
-        """Forget the seam: another part comes."""
-        self.tracker.state = TrackerMemory()
+        """Forget the seam: another part, or the next pass, comes."""
+        self.finish()
+        earlier = self.tracker.state.earlier
+        if self._passes is not None:
+            earlier = self._passes.begin()
+        self.tracker.state = TrackerMemory(earlier=earlier)
+
+    def finish(self) -> None:
+        """End the pass: its seam is kept where the job says so."""
+        if self._passes is not None:
+            self._passes.finish()
 
     def track(self, shown: Frame | None, capture: Capture) -> TrackedFrame:
         """Track a frame, None for an unreadable one; measurements from doubted poses do not last."""
@@ -89,7 +146,12 @@ class FrameTracking:
         inputs = StepInputs(before, pose, capture.look_ahead, capture.is_trusted)
         setup = self.tracker.geometry.setup
         seam = seam_measurement(setup, track, pose, calibration_mm2)
-        return TrackedFrame(track, seam, FrameStep(shown, inputs, self.tracker.reading), took_ms)
+        weld = None
+        if self._passes is not None and pose is not None:
+            if capture.is_trusted:
+                self._passes.add(PassFrame(track, seam, pose.T_base_tool, calibration_mm2))
+            weld = self._passes.weld_at(pose.T_base_tool, capture.look_ahead)
+        return TrackedFrame(track, seam, FrameStep(shown, inputs, self.tracker.reading), took_ms, weld)
 
 
 def seam_measurement(

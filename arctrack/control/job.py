@@ -103,6 +103,8 @@ class Job:
         What the part must be like before the arc is lit.
     bridging : Bridging, optional
         How far a stretch without a joint may reach; by default without end.
+    uses_laser : bool
+        Whether the laser goes on where the robot commands it.
     """
 
     joint_type: str
@@ -112,6 +114,7 @@ class Job:
     poses_proven: bool = False
     part: PartLimits = field(default_factory=PartLimits)
     bridging: Bridging | None = None
+    uses_laser: bool = True
 
 
 NO_JOB = Job("unknown")

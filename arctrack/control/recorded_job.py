@@ -1,12 +1,14 @@
 """A recording as a job: the controller, poses and tracker that answer its frames."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 from arctrack.control.cell_file import CellFile
 from arctrack.control.controller import Controller
 from arctrack.control.frame_tracking import FrameTracking
 from arctrack.control.job import Job
 from arctrack.control.recorded_poses import RecordedPoses
+from arctrack.control.seam_passes import SeamPasses
 from arctrack.control.tracking_service import SeamTracker
 from arctrack.errors import ArctrackError, in_file
 from arctrack.recording import Recording
@@ -62,18 +64,22 @@ def recorded_job(
     Of a cell's jobs it is one alone: a robot that names another is refused. With `has_robot` a live robot
     listens. Raises ArctrackError if the setup's stripe is not in view.
     """
+    number = None if cell is None else cell.job_numbered(job_number)
     try:
-        tracking = FrameTracking(recording.setup, recording.correction, use_arc_map)
+        tracking = FrameTracking(
+            recording.setup,
+            recording.correction,
+            use_arc_map,
+            None if cell is None or number is None else partial(SeamPasses, cell.jobs[number]),
+        )
     except ValueError as error:
         raise in_file(recording.setup_path, str(error)) from error
     if recording.steps is not None:
         tracking.tracker.state = recording.steps.state
-    if cell is None:
+    if cell is None or number is None:
         job = Job(recording.setup.joint.type, correction=recording.correction, poses_proven=True)
         controller, poses = Controller(job, Source.REPLAY), RecordedPoses(recording, has_robot=has_robot)
-        number = None
     else:
-        number = cell.job_numbered(job_number)
         jobs = {number: cell.jobs[number].to_job(recording.setup, cell.limits)}
         controller = Controller(jobs, Source.REPLAY, cell.policy)
         poses = RecordedPoses(recording, cell.plausibility, cell.policy, has_robot)

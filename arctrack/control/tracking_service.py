@@ -66,6 +66,9 @@ class SeamTracking(Protocol[Shown]):
     def begin(self) -> None:
         """Reset the tracker, as in a new process."""
 
+    def finish(self) -> None:
+        """End a pass: nothing more comes of this seam."""
+
     def track(self, shown: Shown, capture: Capture) -> TrackedFrame:
         """Track a frame."""
 
@@ -133,6 +136,7 @@ class TrackingService(Generic[Shown]):
 
     def take_up(self, seam: SeamTracker[SeamTracking[Shown]]) -> None:
         """Track another seam from now on, of which nothing is known."""
+        self.seam.tracking.finish()
         self.seam, self.look_ahead, self._shown_before = seam, AT_ONCE, None
         seam.poses.begin()
         seam.tracking.begin()
@@ -191,8 +195,9 @@ class TrackingService(Generic[Shown]):
         self._send(self.controller.poll(now_s))
 
     def close(self) -> None:
-        """Send the last refusal."""
+        """Send the last refusal, and end the pass."""
         self._send(self.controller.close(self._now_s()))
+        self.seam.tracking.finish()
 
     def _judge_poses(self, now_s: float) -> None:
         self.controller.on_poses(self.seam.poses.verdict(now_s), now_s)

@@ -126,6 +126,9 @@ class MadeTracking:
     def begin(self) -> None:
         """Do nothing."""
 
+    def finish(self) -> None:
+        """Do nothing."""
+
     def track(self, shown: None, capture: Capture) -> TrackedFrame:
         return TrackedFrame(track(ROWS[capture.index]), took_ms=1.0)
 

@@ -38,6 +38,9 @@ class MeasuringCamera:
             history = history.with_measurement(float(station_mm), seam_mm, np.full(2, world.noise_mm**2))
         self._history = history
 
+    def finish(self) -> None:
+        """Do nothing: nothing is kept."""
+
     def look(self) -> Shown:
         """Return the stripe's crossing with the seam, (3,) mm, in the frame of the true tool."""
         world = self.robot.world

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from noise_model.surface.joint import Joint
     from robot_io import GateLimits
     from robot_io.poses.plausibility_limits import PlausibilityLimits
-    from tracker.seam.correction import Correction
+    from tracker.seam.correction import AxisCorrection, Correction
 
 DEEP = ("v_groove", "half_v")
 """The joints whose depth a track tells."""
@@ -153,9 +153,53 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+SYMMETRIC = ("v_groove", "u_groove", "butt", "edge", "outside_corner", "flat")
+"""The joints that look the same from either end."""
+
+
+@dataclass(frozen=True)
+class AgainChoice:
+    """The earlier pass that a job follows again, as [jobs.N.again] states.
+
+    Raises ValueError, which names the key, for a sigma that is negative and an age that is not above 0.
+    """
+
+    seam: Path
+    side_mm: float = 0.0
+    height_mm: float = 0.0
+    tilt_deg: float = 0.0
+    reverse: bool = False
+    laser: bool = True
+    sigma_mm: float = 0.05
+    max_age_s: float = 3600.0
+
+    def __post_init__(self) -> None:
+        if not self.sigma_mm >= 0.0:
+            raise ValueError(f"[again] sigma_mm = {self.sigma_mm}: must be >= 0")
+        if not self.max_age_s > 0.0:
+            raise ValueError(f"[again] max_age_s = {self.max_age_s}: must be > 0")
+
+    def displaced(self, correction: Correction) -> Correction:
+        """Return a correction that leads onto the pass; ValueError where a limit of it is smaller."""
+        y = _biased(correction.y, "y", "side_mm", self.side_mm)
+        z = _biased(correction.z, "z", "height_mm", self.height_mm)
+        return replace(correction, y=y, z=z)
+
+
+def _biased(axis: AxisCorrection, name: str, key: str, aside_mm: float) -> AxisCorrection:
+    """Return an axis that leads farther to one side; ValueError names the pass's key."""
+    try:
+        return replace(axis, bias_mm=axis.bias_mm + aside_mm)
+    except ValueError as error:
+        raise ValueError(f"[again] {key} = {aside_mm}: [follow.{name}] {error}") from None
+
+
 @dataclass(frozen=True)
 class CellJob:
-    """A job of the cell file, as [jobs.N] states; `joint` is None where it is the setup's."""
+    """A job of the cell file, as [jobs.N] states; `joint` is None where it is the setup's.
+
+    `correction` takes in by how far the pass lies displaced from the one that it follows again.
+    """
 
     name: str
     joint: Joint | None
@@ -163,10 +207,46 @@ class CellJob:
     offsets_in_search: bool
     part: PartLimits
     bridge_mm: float | None
+    keep_seam: Path | None = None
+    schedule: Path | None = None
+    again: AgainChoice | None = None
 
     def setup_for(self, setup: Setup) -> Setup:
-        """Return a setup with the job's joint."""
-        return setup if self.joint is None else replace(setup, joint=self.joint)
+        """Return a setup with the job's joint, its seam along the job's own travel."""
+        joint = setup.joint if self.joint is None else self.joint
+        if self.again is not None and self.again.reverse:
+            normals = joint.surface_normals_in_base
+            joint = replace(
+                joint,
+                seam_in_base_mm=joint.seam_in_base_mm[::-1],
+                surface_normals_in_base=None if normals is None else normals[::-1],
+            )
+        return setup if joint is setup.joint else replace(setup, joint=joint)
+
+    def _check_again(self, again: AgainChoice, joint: Joint, limits: GateLimits) -> None:
+        """Raise ValueError, which names the key, for a pass that this job cannot follow."""
+        if again.reverse and again.laser and joint.type not in SYMMETRIC:
+            raise ValueError(
+                f"[again] reverse: from the other end a {joint.type} has its sides changed; "
+                "state laser = false, or a joint of " + ", ".join(SYMMETRIC)
+            )
+        if not again.laser:
+            for key, is_stated in (
+                ("[part]", self.part.required),
+                ("bridge_mm", self.bridge_mm is not None),
+                ("keep_seam", self.keep_seam is not None),
+            ):
+                if is_stated:
+                    raise ValueError(f"{key}: without the laser nothing is measured; leave it out")
+        for key, aside_mm, range_key, range_mm in (
+            ("side_mm", self.correction.y.bias_mm, "range_y_mm", limits.range_y_mm),
+            ("height_mm", self.correction.z.bias_mm, "range_z_mm", limits.range_z_mm),
+        ):
+            if not abs(aside_mm) < range_mm:
+                raise ValueError(
+                    f"[again] {key}: displaces the pass by {aside_mm:g} mm, [gate] {range_key} lets "
+                    f"{range_mm:g} out; raise it"
+                )
 
     def to_job(self, setup: Setup, limits: GateLimits) -> Job:
         """Return the job as the controller takes it; the setup's joint counts where it states none.
@@ -181,6 +261,8 @@ class CellJob:
                 f"[part] depth_mm: the depth of a {setup.joint.type} is not measured; leave it out, or "
                 f"choose a joint of {', '.join(DEEP)}"
             )
+        if self.again is not None:
+            self._check_again(self.again, setup.joint, limits)
         bridging = None
         if self.bridge_mm is not None:
             x_mm, y_mm, z_mm = setup.laser.point_mm.tolist()
@@ -193,6 +275,7 @@ class CellJob:
             poses_proven=True,
             part=self.part,
             bridging=bridging,
+            uses_laser=self.again is None or self.again.laser,
         )
 
 

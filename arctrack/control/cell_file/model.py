@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, get_type_hints
 
 from pydantic import Field, create_model
 
 from arctrack.control.cell_file.choices import (
     MIN_TOKEN_LETTERS,
+    AgainChoice,
     BlackBoxChoice,
     CaptureChoice,
     McapChoice,
@@ -239,6 +241,58 @@ class PartTable(Table):
     )
 
 
+class AgainTable(Table):
+    """An earlier pass that the job follows again, displaced; without it the job follows what it sees."""
+
+    seam: str = key(
+        "The file of the earlier pass's seam, from this file on: keep_seam of its job",
+        example='"root.json"',
+        min_length=1,
+    )
+    side_mm: Number = key(
+        "How far the pass lies to the left of that seam", "mm", default=AgainChoice.side_mm, example="2.5"
+    )
+    height_mm: Number = key(
+        "How far it lies above that seam, out of the part",
+        "mm",
+        default=AgainChoice.height_mm,
+        example="3.0",
+    )
+    tilt_deg: Number = key(
+        "How much farther the tool leans to the right of the travel than in that pass",
+        "deg",
+        default=AgainChoice.tilt_deg,
+        example="15.0",
+        note="A tool that leans otherwise by more than 10 deg gets no offset.",
+        bounds=Bounds(-90.0, 90.0, "a torch stands over the part"),
+    )
+    reverse: bool = key(
+        "Whether the pass goes the other way; left is then that of its own travel",
+        default=AgainChoice.reverse,
+    )
+    laser: bool = key(
+        "Whether the sensor sees the seam, too; false keeps the laser off",
+        default=AgainChoice.laser,
+        note="With it both count, each by its sigma.",
+    )
+    sigma_mm: Number = key(
+        "What part and robot may have moved since, 1 sigma",
+        "mm",
+        default=AgainChoice.sigma_mm,
+        note="A robot comes back to 0.03 to 0.08; measure what the welding shrinks.",
+    )
+    max_age_s: Number = key(
+        "The oldest seam that a live run follows",
+        "s",
+        default=AgainChoice.max_age_s,
+        note="Another part may lie there by then.",
+    )
+
+    def to_choice(self, folder: Path) -> AgainChoice:
+        """Return the choice of a cell file in a folder; ValueError names the key."""
+        return AgainChoice(**{**self.known, "seam": folder / self.seam})
+
+
 class JobTable(Table):
     """A job for each number N by which the robot names one, TrackerCommand.job_number."""
 
@@ -247,7 +301,20 @@ class JobTable(Table):
     bridge_mm: Number | None = key(
         "How far a tack or another stretch without a joint may reach", "mm", default=None, example="8.0"
     )
+    keep_seam: str | None = key(
+        "The file that keeps the pass's seam, from this file on, for a job that follows it again",
+        default=None,
+        example='"root.json"',
+        min_length=1,
+    )
+    schedule: str | None = key(
+        "The weld schedule, from this file on: a CSV table of speed, weave and wire by gap or area",
+        default=None,
+        example='"schedule.csv"',
+        min_length=1,
+    )
     joint: JointTable | None = None
+    again: AgainTable | None = None
     follow: FollowTable = Field(default_factory=FollowTable)
     part: PartTable = Field(default_factory=PartTable)
 

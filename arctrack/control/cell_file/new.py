@@ -24,6 +24,14 @@ _JOINT_AND_FOLLOW = """
 # seam_in_base_mm = [[0.0, 0.0, 0.0], [200.0, 0.0, 0.0]]
 # surface_normal_in_base = [0.0, 0.0, 1.0]
 
+# An earlier pass that this job follows again, displaced: docs/how_to/follow_again.md.
+# [jobs.1.again]
+# seam = "root.json"                   # keep_seam of the earlier pass's job
+# side_mm = 2.5                        # to the left of the travel
+# height_mm = 3.0                      # out of the part
+# tilt_deg = 15.0                      # leans to the right of the travel
+# laser = true                         # false keeps the laser off
+
 # What is sent of the seam: the keys are those of [follow] of a setup.
 [jobs.1.follow.y]
 # bias_mm = 0.0                        # to the left of the travel
@@ -65,7 +73,7 @@ def commented_cell() -> str:
         name = place.replace("N", "1")
         if name == "jobs.1.joint":
             lines += _JOINT_AND_FOLLOW.splitlines()
-        if name.startswith(("jobs.1.joint", "jobs.1.follow")):
+        if name.startswith(("jobs.1.joint", "jobs.1.again", "jobs.1.follow")):
             continue
         if name:
             lines += ["", *wrapped(table.__doc__ or ""), f"[{name}]"]

@@ -97,7 +97,7 @@ def _cell(path: Path, model: CellToml, setup: SetupFile) -> CellFile:
         limits=limits,
         policy=_record(ServicePolicy, model.service, "service policy", "[service]"),
         plausibility=_record(PlausibilityLimits, model.plausibility, "plausibility limit", "[plausibility]"),
-        jobs=dict(sorted((_number(key), _job(key, table)) for key, table in model.jobs.items())),
+        jobs=dict(sorted((_number(key), _job(key, table, path.parent)) for key, table in model.jobs.items())),
         process=_record(ProcessChoice, model.process),
         monitor=_record(MonitorChoice, model.monitor),
         black_box=_record(BlackBoxChoice, model.black_box),
@@ -172,16 +172,21 @@ def _number(key: str) -> int:
     return int(key)
 
 
-def _job(key: str, table: JobTable) -> CellJob:
+def _job(key: str, table: JobTable, folder: Path) -> CellJob:
     def built() -> CellJob:
         joint: Joint | None = None if table.joint is None else table.joint.to_joint()
+        again = None if table.again is None else table.again.to_choice(folder)
+        correction = table.follow.to_correction()
         return CellJob(
             name=table.name,
             joint=joint,
-            correction=table.follow.to_correction(),
+            correction=correction if again is None else again.displaced(correction),
             offsets_in_search=table.offsets_in_search,
             part=_part(table.part),
             bridge_mm=table.bridge_mm,
+            keep_seam=None if table.keep_seam is None else folder / table.keep_seam,
+            schedule=None if table.schedule is None else folder / table.schedule,
+            again=again,
         )
 
     return _within(key, built)

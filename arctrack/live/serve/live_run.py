@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from arctrack.control.pose_watch import nominal_path
 from arctrack.control.recorded_job import recorded_job, with_job
 from arctrack.control.recorded_poses import seam_limits
 from arctrack.control.robot_messages import TRUSTED
+from arctrack.control.seam_passes import SeamPasses
 from arctrack.control.tracking_service import SeamTracker
 from arctrack.errors import ArctrackError, in_file
 from arctrack.live.cameras.camera import CameraProtocol
@@ -196,7 +198,8 @@ def run_parts(
 
     `finder` answers the FIND of a live robot.
 
-    Raises ArctrackError if the file states none, if it cannot be opened, or if a job's stripe is not in view.
+    Raises ArctrackError if the file states none, if it cannot be opened, if a job's stripe is not in view, or
+    its weld schedule is wrong.
     """
     camera = cell.camera
     if camera.kind is None or camera.name is None:
@@ -236,8 +239,10 @@ def _live(
             pose_time_s(setup, 0.0),
             lag_estimator=lag_estimator,
         )
+        make_passes = partial(SeamPasses, job, limits_age=True)
         try:
-            seams[number] = SeamTracker(poses, FrameTracking(setup, job.correction))
+            tracking = FrameTracking(setup, job.correction, make_passes=make_passes)
+            seams[number] = SeamTracker(poses, tracking)
         except ValueError as error:
             raise in_file(setup_file.path, str(error)) from error
     if cell.camera.kind != "shared_memory":

@@ -128,7 +128,10 @@ TORCH_MM = 0.5
 
 
 class Cell:
-    """One run of a simulated cell; `make_camera` makes the camera at a robot's tool."""
+    """One run of a simulated cell; `make_camera` makes the camera at a robot's tool.
+
+    Without `bridge_mm` the tracker may go without a joint for as long as it likes.
+    """
 
     def __init__(
         self,
@@ -136,9 +139,12 @@ class Cell:
         rng: np.random.Generator,
         make_camera: Callable[[Robot], SimulatedCamera],
         frame_period_s: float,
+        bridge_mm: float | None = BRIDGE_MM,
     ) -> None:
         self.rng = rng
-        bridging = Bridging(world.path, (world.look_ahead_mm, 0.0, 0.0), BRIDGE_MM)
+        bridging = None
+        if bridge_mm is not None:
+            bridging = Bridging(world.path, (world.look_ahead_mm, 0.0, 0.0), bridge_mm)
         self.job = Job("lap", poses_proven=True, bridging=bridging)
         self.scheduler = Scheduler()
         robot = Robot(world)

@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from arctrack.control.cell_file import CellJob
 from arctrack.nominal import nominal_setup
 from arctrack.offset_count import OffsetCount
-from arctrack.simulation.cell.cell import Cell
+from arctrack.simulation.cell.cell import BRIDGE_MM, Cell
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.cell.weld.events import LOOP_EVENTS
 from arctrack.simulation.cell.weld.rendered_camera import RenderedCamera
@@ -52,6 +53,7 @@ class LoopPlan:
     - `path`: `circle:RADIUS` or `corner:RADIUS`, mm, in place of a straight seam. The part then lies
       displaced as a whole: by `displaced_mm` to the left of the path's start, and as far along it.
     - `finds_first`: in a live run the robot stands without an arc and commands FIND before it welds.
+    - `job`: a cell's job, whose passes follow each other; its joint is not used.
     """
 
     joint: str = "corrugation"
@@ -72,6 +74,7 @@ class LoopPlan:
     size_px: tuple[int, int] = (640, 480)
     path: str | None = None
     finds_first: bool = False
+    job: CellJob | None = None
 
 
 @dataclass(frozen=True)
@@ -159,10 +162,17 @@ class ClosedLoop:
         true_setup = self.setup if plan.exact else true_values(self.setup, draw_true)
 
         def make_camera(robot: Robot) -> RenderedCamera:
-            self.camera = RenderedCamera(robot, self.setup, true_setup, draw_images)
+            self.camera = RenderedCamera(robot, self.setup, true_setup, draw_images, job=plan.job)
             return self.camera
 
-        self.cell = Cell(world_of(plan, self.setup), draw_cell, make_camera, 1.0 / plan.rate_hz)
+        sees = plan.job is None or plan.job.again is None or plan.job.again.laser
+        self.cell = Cell(
+            world_of(plan, self.setup),
+            draw_cell,
+            make_camera,
+            1.0 / plan.rate_hz,
+            BRIDGE_MM if sees else None,
+        )
         self.event_s = self._plan_event()
         self.duration_s = plan.length_mm / plan.speed_mm_s
         if self.event_s is not None:

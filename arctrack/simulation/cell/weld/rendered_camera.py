@@ -3,10 +3,13 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
+from arctrack.control.cell_file import CellJob
 from arctrack.control.frame_tracking import Capture, FrameTracking, TrackedFrame
+from arctrack.control.seam_passes import SeamPasses
 from arctrack.simulation.cell.cell import COMPUTED_S, Shown
 from arctrack.simulation.cell.robot import Robot
 from arctrack.simulation.turning_seam import TurningSeam
@@ -33,7 +36,8 @@ class RenderedCamera:
 
     `arc_level` is the arc's output over its nominal one by time, s; None burns as the robot's status says.
     `tacks_mm` are intervals of stations under a tack. NaN as `exposure_s` is the true setup's own. `aside_mm`
-    shifts the seam farther to the left, out of the camera's view.
+    shifts the seam farther to the left, out of the camera's view. `job` is a cell's, whose passes follow each
+    other; None for one pass alone. One without the laser gets black frames.
     """
 
     robot: Robot
@@ -45,6 +49,7 @@ class RenderedCamera:
     is_laser_on: bool = True
     exposure_s: float = math.nan
     aside_mm: float = 0.0
+    job: CellJob | None = None
     part_seed: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -59,9 +64,18 @@ class RenderedCamera:
     def begin(self) -> None:
         """Reset the tracker, as in a new process."""
         self.tracking = FrameTracking(self.setup)
+        if self.job is not None:
+            make_passes = partial(SeamPasses, self.job)
+            self.tracking = FrameTracking(self.setup, self.job.correction, make_passes=make_passes)
+
+    def finish(self) -> None:
+        """End the pass."""
+        self.tracking.finish()
 
     def look(self) -> Shown:
         """Return the image (H, W), DN, that the camera takes now."""
+        if self.job is not None and self.job.again is not None and not self.job.again.laser:
+            return np.zeros(self.setup.frame_shape, self.setup.sensor.dtype)
         T_base_tool = self.robot.T_base_tool()
         true_setup, seam = self._seen(T_base_tool)
         exposure_s = self._true.camera.exposure_s if math.isnan(self.exposure_s) else self.exposure_s
