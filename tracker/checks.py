@@ -154,6 +154,12 @@ ARC_LEVEL = Question("arc_level", "the arc's output over the expected output", "
 MAP_MISFIT = Question(
     "map_misfit", "residual of the arc map over its stated uncertainty", "at_most", flags.MAP_MISFIT
 )
+ARC_AS_STATED = Question(
+    "arc_as_stated", "the arc burns, or does not, as the frame came with", "yes", flags.ARC_NOT_SEEN
+)
+ARC_AS_BEFORE = Question(
+    "arc_as_before", "the arc burns, or does not, as in the frame before", "yes", flags.ARC_LOST
+)
 LASER_ON = Question("laser_on", "the laser is on", "yes", flags.LASER_OFF)
 LINES_SATURATED = Question(
     "lines_saturated", "scan lines with saturated pixels in the stripe", "at_most", flags.SATURATED, "lines"

@@ -102,6 +102,18 @@ PASS_CONTRADICTED = Flag(
 PASS_TILTED = Flag(
     32, "pass_tilted", "the tool does not lean about the seam as the pass states: there is no offset"
 )
+ARC_IGNITED = Flag(33, "arc_ignited", "the arc's light appeared since the latest frame that told")
+ARC_LOST = Flag(
+    34,
+    "arc_lost",
+    "the arc's light went out since the latest frame that told, though the arc is said to burn",
+)
+ARC_NOT_SEEN = Flag(
+    35, "arc_not_seen", "the arc is said to burn, and the frame shows less than a fifth of its expected light"
+)
+ARC_UNANNOUNCED = Flag(
+    36, "arc_unannounced", "the arc is said to be off, and its light is in the frame, which is read with it"
+)
 
 FLAGS: tuple[Flag, ...] = tuple(value for value in list(globals().values()) if isinstance(value, Flag))
 """Every flag, in order of its bit."""

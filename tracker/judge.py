@@ -69,7 +69,8 @@ def judge(
     state = before._replace(steering=steering)
     by_line = bool(frame_checks.flags & flags.SEAM_BY_LINE.mask)
     by_gap = given.geometry.setup.joint.type in SLOTS and joint.evidence_nats < SURE_NATS
-    is_doubtful = given.arc_burns and (by_line or by_gap)
+    burns = given.arc_burns or bool(reading.evidence.burns)
+    is_doubtful = burns and (by_line or by_gap)
     state = remember(frame_checks, source, state, located.station_mm, off_mm, variance_mm2, is_doubtful)
     if state.history.n == 0:
         return state, None

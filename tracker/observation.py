@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,16 @@ from noise_model.compiled.arrays import Float32, Float64, Int64
 from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from tracker import checks
-from tracker.arc.level import NOWHERE, UNKNOWN, ArcLevel, estimate_light, off_stripe
+from tracker.arc.burning import NO_EVIDENCE, ArcEvidence, arc_evidence
+from tracker.arc.level import (
+    NOWHERE,
+    UNKNOWN,
+    ArcLevel,
+    estimate_ambient_light,
+    estimate_arc_level,
+    off_stripe,
+    only_seen,
+)
 from tracker.arc.prediction import ArcLightBuffers, predict_arc
 from tracker.arc.transmission import NO_LIGHT, Transmission
 from tracker.checks import FrameChecks
@@ -62,7 +72,7 @@ class FrameInput(NamedTuple):
     """Inputs of a frame's tracking: the setup's tables, the state before it, the frame and its pose.
 
     `T_base_tool` (4, 4) is the tool's pose, mm; `work` is scratch. `arc_burns` as the frame was told: it is
-    read without an arc too.
+    read without an arc too, and with one that its picture alone shows.
     """
 
     geometry: SensorGeometry
@@ -99,11 +109,13 @@ class Aim(NamedTuple):
 class Observation(NamedTuple):
     """Result of one observation of a frame; None where it did not get that far.
 
-    `arc` is the light other than the laser's, `stripe` what was read of the stripe, `section` the profile of
-    a stripe that counts. What is in `stripe` beyond the stripe itself is valid until the next observation.
+    `arc` is the light other than the laser's, `evidence` that an arc burns, `stripe` what was read of the
+    stripe, `section` the profile of a stripe that counts. What is in `stripe` beyond the stripe itself is
+    valid until the next observation.
     """
 
     arc: ArcLevel = UNKNOWN
+    evidence: ArcEvidence = NO_EVIDENCE
     expected: ExpectedStripe | None = None
     transmission: Transmission | None = None
     stripe: StripeReading | None = None
@@ -121,6 +133,7 @@ class Reading(NamedTuple):
     seam: SeamLine
     reach_mm: float
     arc: ArcLevel = UNKNOWN
+    evidence: ArcEvidence = NO_EVIDENCE
     stripe: Stripe | None = None
     joint: MeasuredJoint | None = None
     fov_margin_mm: float = math.nan
@@ -151,16 +164,18 @@ def observe(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Observati
     frame_checks.ask_whether(checks.STRIPE_EXPECTED, expected is not None)
     if expected is None:
         return Observation()
-    reach_px, has_arc = geometry.reach_px(aim.reach_mm), shows_arc(geometry.setup, frame)
+    reach_px = geometry.reach_px(aim.reach_mm)
     half_px = reach_px + FIT_SIGMAS * expected.widest_px
     stripe_px, band = NOWHERE, None
     if frame.laser_on:
         stripe_px, room = expected.position_px, given.work.pixels
         band = gather_band(frame.image_dn, geometry.image_source, stripe_px, math.ceil(half_px), room)
     pixels, charge_e = off_stripe(geometry.image_source, frame.image_dn, stripe_px, half_px)
-    arc_e, other_e, transmission = predict_light(given, aim, pixels, band)
-    arc = estimate_light(geometry.image_source, charge_e, pixels, arc_e, other_e, has_arc)
-    seen = Observation(arc, expected, transmission)
+    seen = _observe_light(given, aim, pixels, charge_e, band)
+    if seen.evidence.burns and not given.arc_burns:
+        burning = given._replace(frame=replace(frame, arc_on=True))
+        seen = _observe_light(burning, aim, pixels, charge_e, band)
+    seen, arc = seen._replace(expected=expected), seen.arc
     if not _check_light(frame_checks, arc, band is not None) or band is None:
         return seen
     lit = _lit_band(geometry, aim, seen, band)
@@ -180,6 +195,19 @@ def observe(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Observati
     if not _check_stripe(frame_checks, expected, reading, seeks_ends):
         return seen
     return seen._replace(section=observed_section(geometry, aim, seen))
+
+
+def _observe_light(
+    given: FrameInput, aim: Aim, pixels: Int64, charge_e: Float64, band: Band | None
+) -> Observation:
+    """Return a frame's light apart from the laser's, by pixels (n,) off the stripe that hold `charge_e`."""
+    image, setup = given.geometry.image_source, given.geometry.setup
+    arc_e, other_e, transmission = predict_light(given, aim, pixels, band)
+    unlit = only_seen(arc_e, charge_e, other_e, pixels)
+    shown = estimate_arc_level(image, unlit) if setup.arc.shines else UNKNOWN
+    arc = shown if shows_arc(setup, given.frame) else estimate_ambient_light(image, unlit)
+    hall_e = given.state.arc.hall_e * exposure_ratio(setup, given.frame)
+    return Observation(arc, arc_evidence(image, unlit, shown, hall_e), transmission=transmission)
 
 
 def observed_section(geometry: SensorGeometry, aim: Aim, seen: Observation) -> Section:
@@ -317,8 +345,12 @@ def expected_output(setup: Setup, frame: Frame) -> float:
 
     Without a known current, or with the arc said to be off, that is the nominal one, and so is an exposure.
     """
-    current_a, exposure_s = float(frame.current_a), float(frame.exposure_s)
+    current_a = float(frame.current_a)
     output = arc_source.level(setup.arc, current_a) if 0.0 < current_a < MAX_CURRENT_A else 1.0
-    if 0.0 < exposure_s < MAX_EXPOSURE_S:
-        output *= exposure_s / setup.camera.exposure_s
-    return output
+    return output * exposure_ratio(setup, frame)
+
+
+def exposure_ratio(setup: Setup, frame: Frame) -> float:
+    """Return a frame's exposure over the nominal one, 1 where it is not known."""
+    exposure_s = float(frame.exposure_s)
+    return exposure_s / setup.camera.exposure_s if 0.0 < exposure_s < MAX_EXPOSURE_S else 1.0

@@ -103,6 +103,7 @@ def look_and_fit(given: FrameInput, frame_checks: FrameChecks, aim: Aim) -> Read
         seam=aim.seam,
         reach_mm=aim.reach_mm,
         arc=seen.arc,
+        evidence=seen.evidence,
         stripe=None if seen.stripe is None else seen.stripe.stripe,
         joint=joint,
         fov_margin_mm=margin_mm,
@@ -203,9 +204,8 @@ def _closed_joint(given: FrameInput, aim: Aim, seen: Observation) -> MeasuredJoi
     image_dn = given.frame.image_dn.T if geometry.along_rows else given.frame.image_dn
     stripe_px = smoothed(seen.stripe.stripe).position_px
     stripe_sigma_px = known_median(section.light.width_px)
-    line = read_image_line(
-        geometry, aim.scene, stripe_px, stripe_sigma_px, section, image_dn, given.arc_burns
-    )
+    burns = given.arc_burns or bool(seen.evidence.burns)
+    line = read_image_line(geometry, aim.scene, stripe_px, stripe_sigma_px, section, image_dn, burns)
     return None if line is None else fit_closed_joint(section, geometry.setup.joint, line)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.compiled.median import numbers_for
 from tracker import checks
+from tracker.arc.burning import NO_EVIDENCE, ArcEvidence
 from tracker.arc.level import UNKNOWN, ArcLevel
 from tracker.checks import FrameChecks
 from tracker.geometry import SEARCH_REACH_MM, SensorGeometry
@@ -72,6 +73,7 @@ class ProfileObservation(NamedTuple):
     """Result of one observation of a profile, as `Observation` is of an image."""
 
     arc: ArcLevel = UNKNOWN
+    evidence: ArcEvidence = NO_EVIDENCE
     stripe: ProfileReading | None = None
     section: Section | None = None
 

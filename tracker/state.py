@@ -237,7 +237,9 @@ class Track:
         Station and 1 sigma of the joint's start and end, mm, where they were found.
     arc_level : float
         The arc's output over the output that the setup expects for the frame's current and exposure. Known
-        only where the frame is said to have an arc.
+        only where the frame is said to have an arc, or shows one.
+    arc_level_sigma : float
+        1 sigma of `arc_level`; the arc map's own error is in it.
     map_misfit : float
         The residual of the arc map over its stated uncertainty, by a robust measure; 1 or less where the map
         is right.
@@ -269,6 +271,7 @@ class Track:
     joint_start_mm: tuple[float, float] = (NAN, NAN)
     joint_end_mm: tuple[float, float] = (NAN, NAN)
     arc_level: float = NAN
+    arc_level_sigma: float = NAN
     map_misfit: float = NAN
     fov_margin_mm: float = NAN
     shape: JointShape = NO_SHAPE

@@ -14,7 +14,7 @@ from tracker import checks, flags
 from tracker.checks import FrameChecks
 from tracker.geometry import SensorGeometry
 from tracker.judge import SeamEstimate
-from tracker.observation import MISFIT_LIMIT, FrameInput, Reading
+from tracker.observation import MISFIT_LIMIT, FrameInput, Reading, exposure_ratio
 from tracker.pipeline import FrameResult, track_frame
 from tracker.seam.correction import UNSTATED, Correction
 from tracker.seam.expected import expect_torch, is_rotation
@@ -29,7 +29,8 @@ class StepInputs:
     """Inputs of a step other than the frame; with the frame they give the same track, bit for bit.
 
     `pose` is the tool's at the capture, None where it was refused; `lead` is the offset's look-ahead. Without
-    `keeps_state` the step's findings do not count for the next one, as where poses were doubted.
+    `keeps_state` the step's findings, but for those of the arc, do not count for the next one, as where poses
+    were doubted.
     """
 
     state: TrackerMemory
@@ -80,13 +81,14 @@ def step(
     )
     if state.earlier is not None and not state.earlier.uses_laser:
         return _follow_blind(given, frame_checks)
-    tracked = track_frame(given, frame_checks)
+    tracked = _track_with_arc(given, frame_checks, frame.arc_on)
     if tracked is None:
         return _refused(state, frame_checks, frame)
     by_map = tracked.state, _track(frame, tracked), tracked.reading
     if not (use_arc_map and _contradicts_map(tracked.reading)):
         return by_map
-    plain = track_frame(given._replace(frame=replace(frame, arc_on=False)), FrameChecks())
+    unlit = given._replace(frame=replace(frame, arc_on=False), arc_burns=True)
+    plain = _track_with_arc(unlit, FrameChecks(), frame.arc_on)
     if plain is None or not _track(frame, plain).valid:
         return by_map
     return _as_contradicted(frame, plain, tracked.reading)
@@ -109,6 +111,22 @@ def _follow_blind(given: FrameInput, frame_checks: FrameChecks) -> tuple[Tracker
     return before._replace(steering=steering, frames=before.frames + 1), track, None
 
 
+def _track_with_arc(given: FrameInput, frame_checks: FrameChecks, is_stated: bool) -> FrameResult | None:
+    """Track a frame, and hold the arc in its picture against the frames before and against what is stated."""
+    tracked = track_frame(given, frame_checks)
+    burns = None if tracked is None else tracked.reading.evidence.burns
+    if tracked is None or burns is None:
+        return tracked
+    before, contradiction = given.state.arc.burns, flags.ARC_UNANNOUNCED if burns else flags.ARC_NOT_SEEN
+    frame_checks.ask(checks.ARC_AS_STATED, float(burns is is_stated), 1.0, contradiction)
+    # An arc that ends as stated is not lost.
+    if before is not None and (burns or is_stated):
+        event = flags.ARC_IGNITED if burns else flags.ARC_LOST
+        frame_checks.ask(checks.ARC_AS_BEFORE, float(burns is before), 1.0, event)
+    arc = given.state.arc.after(tracked.reading.evidence, exposure_ratio(given.geometry.setup, given.frame))
+    return tracked._replace(state=tracked.state._replace(arc=arc))
+
+
 def _contradicts_map(reading: Reading) -> bool:
     """Return True if no level of the arc fits a frame off the stripe, or its misfit exceeds the limit.
 
@@ -129,7 +147,12 @@ def _as_contradicted(
     # It is not asked of a level that is none.
     if not reading.flags & (flags.ARC_LEVEL_UNKNOWN.mask | flags.MAP_MISFIT.mask):
         reading.checks.ask(checks.MAP_MISFIT, arc.misfit, MISFIT_LIMIT)
-    track = replace(_track(frame, plain), arc_level=arc.level, map_misfit=arc.misfit)
+    track = replace(
+        _track(frame, plain),
+        arc_level=arc.level,
+        arc_level_sigma=by_map.evidence.sigma,
+        map_misfit=arc.misfit,
+    )
     return plain.state, track, reading
 
 
@@ -179,6 +202,7 @@ def _track(frame: Frame, tracked: FrameResult) -> Track:
         gap_mm=NAN if joint is None else joint.gap_mm,
         mismatch_mm=NAN if joint is None else joint.mismatch_mm,
         arc_level=reading.arc.level if reading.arc.is_on else NAN,
+        arc_level_sigma=reading.evidence.sigma if reading.arc.is_on else NAN,
         map_misfit=reading.arc.misfit,
         fov_margin_mm=reading.fov_margin_mm,
         shape=NO_SHAPE if joint is None else joint.shape,

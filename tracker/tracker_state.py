@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from tracker import flags
+from tracker.arc.burning import NOTHING_SEEN, ArcMemory
 from tracker.seam.earlier_pass import EarlierPass
 from tracker.seam.gaussian_process import NO_HISTORY, SeamHistory
 from tracker.seam.joint_ends import JointEnds
@@ -42,6 +43,7 @@ class TrackerMemory(NamedTuple):
     still stand. `scatter` is the stripes' scatter beyond photon noise. `jumps` counts frames with the joint
     elsewhere since it was last where expected, the first of which has number `jumped_at`; `lost` counts the
     latest frames in a row without a joint. `earlier` is the pass that is followed again, None for none.
+    `arc` is what frames have shown of the arc.
     """
 
     history: SeamHistory = NO_HISTORY
@@ -54,6 +56,7 @@ class TrackerMemory(NamedTuple):
     lost: int = 0
     frames: int = 0
     earlier: EarlierPass | None = None
+    arc: ArcMemory = NOTHING_SEEN
 
     @property
     def lasting_flags(self) -> int:

@@ -142,7 +142,8 @@ class FrameTracking:
         took_ms = (time.perf_counter_ns() - began_ns) / 1e6
         calibration_mm2 = self.tracker.state.steering.hand_eye_variance_mm2
         if not capture.is_trusted:
-            self.tracker.state = before
+            # What the picture says of the arc steers nothing.
+            self.tracker.state = before._replace(arc=self.tracker.state.arc)
         inputs = StepInputs(before, pose, capture.look_ahead, capture.is_trusted)
         setup = self.tracker.geometry.setup
         seam = seam_measurement(setup, track, pose, calibration_mm2)

@@ -19,6 +19,7 @@ from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.csv_file import number, number_or_unknown, read_csv, whole
 from arctrack.recording.files import blamed_on, read_text
+from tracker.arc.burning import ArcMemory
 from tracker.seam.earlier_pass import EarlierPass
 from tracker.seam.gaussian_process import SeamHistory
 from tracker.seam.joint_ends import Change, JointEnds
@@ -55,6 +56,7 @@ RECORDS = {
         Change,
         Scatter,
         FrameScatter,
+        ArcMemory,
     )
 }
 """Records of a state."""

@@ -128,8 +128,9 @@ def explain(
     inputs, reading, tracker = step.inputs, step.reading, job.tracking.tracker
     look = None
     if inputs.pose is not None and reading is not None:
-        # A frame that contradicts the arc map was read as if no arc were said to burn.
-        as_read = replace(frame, arc_on=frame.arc_on and reading.arc.is_on)
+        # A frame that contradicts the arc map was read as if no arc were said to burn, one that shows an arc
+        # that was not announced with it.
+        as_read = replace(frame, arc_on=reading.arc.is_on)
         given = FrameInput(
             geometry=tracker.geometry,
             state=inputs.state,
@@ -140,7 +141,7 @@ def explain(
             use_arc_map=use_arc_map,
             correction=tracker.correction,
             lead=inputs.lead,
-            arc_burns=frame.arc_on,
+            arc_burns=frame.arc_on or bool(reading.evidence.burns),
         )
         look = _look(given, reading)
     return Explanation(

@@ -94,18 +94,6 @@ def unlit_by_the_laser(
     return unlit
 
 
-def estimate_light(
-    image: ImageSource, charge_e: Float64, pixels: Int64, arc_e: Float32, other_e: Float32, has_arc: bool
-) -> ArcLevel:
-    """Return a frame's light apart from the laser's, from pixels (n,) off the stripe that hold `charge_e`.
-
-    `arc_e` (n,) is the arc's light at its expected output once it has passed effects, `other_e` (n,) is what
-    else they make, empty for none.
-    """
-    unlit = only_seen(arc_e, charge_e, other_e, pixels)
-    return estimate_arc_level(image, unlit) if has_arc else estimate_ambient_light(image, unlit)
-
-
 def estimate_arc_level(image: ImageSource, unlit: Unlit) -> ArcLevel:
     """Fit charge = level * map + black to pixels off the stripe.
 
