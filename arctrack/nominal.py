@@ -16,6 +16,7 @@ from noise_model.arc_source import Arc
 from noise_model.compiled.arrays import Float64
 from noise_model.instrument.camera import Camera
 from noise_model.instrument.laser import Laser
+from noise_model.instrument.profiler import SENSOR, Profiler
 from noise_model.instrument.sensor import Sensor
 from noise_model.instrument.spectrum import Filter
 from noise_model.setup import Setup
@@ -35,6 +36,9 @@ DIMENSIONS: dict[str, dict[str, float]] = {
     "outside_corner": {"included_angle_deg": 90.0},
 }
 """The dimensions, mm and deg, of the joints that a setup can be made for."""
+
+PROFILE_AHEAD_MM, PROFILE_WIDTH_MM = 35.0, 38.4
+"""Place of a nominal profiler's sheet ahead of the torch, and the width of its profiles."""
 
 _ARC_HEIGHT_MM = {"lap": 2.0, "corrugation": 1.6, "fillet": 3.0}
 """The arc's height above the reference surface: on the upper sheet, between a fillet's plates."""
@@ -109,6 +113,31 @@ def nominal_setup(joint_type: str, material_name: str, *, width: int = 640, heig
             dimensions=dict(DIMENSIONS[joint_type]),
             seam_in_base_mm=((-100.0, 0.0, 0.0), (1000.0, 0.0, 0.0)),
         ),
+    )
+
+
+def with_profiler(setup: Setup, columns: int = 1280) -> Setup:
+    """Return a setup with a laser profiler of so many columns in the place of its camera and laser.
+
+    Its sheet is upright, where the nominal one is, and its profiles are as wide as the camera sees.
+    """
+    T_tool_profile = np.eye(4)
+    T_tool_profile[0, 3] = PROFILE_AHEAD_MM
+    profiler = Profiler(
+        columns=columns,
+        pitch_mm=PROFILE_WIDTH_MM / columns,
+        range_mm=60.0,
+        stand_off_mm=140.0,
+        T_tool_profile=T_tool_profile,
+        exposure_s=setup.camera.exposure_s,
+    )
+    return Setup(
+        camera=profiler.camera,
+        sensor=SENSOR,
+        laser=profiler.laser,
+        joint=setup.joint,
+        tolerance=setup.tolerance,
+        profiler=profiler,
     )
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.simulate import JointName, MaterialName, PathOption
+from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
     from arctrack.simulation.cell.weld.closed_loop import ClosedLoopResult, EventResult, LoopPlan
@@ -69,6 +70,9 @@ def run(
     at_once: Annotated[
         bool, typer.Option("--at-once", help="Send the offset of where the torch is, as if it acted at once.")
     ] = False,
+    profiles: Annotated[
+        bool, typer.Option("--profiles", help="A laser profiler takes the camera's place.")
+    ] = False,
     off_nominal: Annotated[
         bool, typer.Option("--off-nominal", help="True values are drawn from the setup's tolerance.")
     ] = False,
@@ -83,6 +87,8 @@ def run(
     from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
     from arctrack.simulation.cell_run_files import RUN_CSV, RUN_PICTURE, draw_run, write_run
 
+    if profiles and event is not None and event.value.endswith("tack"):
+        raise ArctrackError(f"--event {event.value}: a tack is drawn on images alone; leave --profiles out")
     plan = LoopPlan(
         joint=joint.value,
         material=material.value,
@@ -98,6 +104,7 @@ def run(
         event=None if event is None else event.value,
         exact=not off_nominal,
         path=path,
+        profiles=profiles,
     )
     make_folder(out, (RUN_CSV, RUN_PICTURE))
     with console.progress() as bar:
@@ -128,6 +135,9 @@ def serve(
         float | None, typer.Option(help="How long; without it until Ctrl-C or SIGTERM.", min=0)
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the images' noise.", min=0)] = 1,
+    profiles: Annotated[
+        bool, typer.Option("--profiles", help="A laser profiler takes the camera's place.")
+    ] = False,
     write_cell: Annotated[
         Path | None,
         typer.Option(
@@ -155,6 +165,7 @@ def serve(
         rate_hz=fps,
         seed=seed,
         size_px=REAL_TIME_PX,
+        profiles=profiles,
     )
     if write_cell is not None:
         console.say(f"{write_simulated_cell(write_cell, plan, interface, channel, frames)}")

@@ -128,14 +128,13 @@ def run_camera(plan: LoopPlan, name: str, shots: Connection) -> None:
     compiled, it says so over the same connection. ArctrackError if its frames cannot be published.
     """
     setup = setup_of(plan)
-    camera = setup.camera
     robot = Robot(world_of(plan, setup))
     sensor = RenderedCamera(robot, setup, setup, np.random.default_rng([plan.seed, 1]))
     sensor.look()
     # Before there are frames: a tracker takes the line once it finds them.
     remove_line(name)
     try:
-        with SharedFramesWriter(name, camera.height, camera.width, setup.sensor.dtype) as frames:
+        with SharedFramesWriter(name, *setup.frame_shape, setup.sensor.dtype) as frames:
             shots.send(True)
             _publish(shots, sensor, frames, name)
     except SharedFramesError as error:

@@ -12,7 +12,7 @@ from arctrack.recording.files import FRAMES_CSV
 from arctrack.recording.frames import FOLDER_NAME
 from arctrack.recording.poses import CSV_NAME as POSES_CSV
 from arctrack.recording.schema import Key, keys_of
-from arctrack.recording.setup_model import RecordingToml
+from arctrack.recording.setup_model import ProfilerToml, RecordingToml
 from arctrack.recording.setup_writer import FILE_NAME
 from arctrack.recording.tables import FRAME_COLUMNS, POSE_COLUMNS
 from noise_model.setup import Setup
@@ -61,13 +61,14 @@ def write_new(folder: Path, joint_type: str, material_name: str) -> tuple[Path, 
 
 def commented_setup(setup: Setup) -> str:
     """Return a recording.toml that reads back as the setup, with a comment above each key."""
-    described = {(key.table, key.name): key for key in keys_of(RecordingToml)}
+    keys = tuple(keys_of(RecordingToml if setup.profiler is None else ProfilerToml))
+    described = {(key.table, key.name): key for key in keys}
     lines = _HEAD.splitlines()
     table, stated = "", set[str]()
     for line in format_setup(setup).splitlines():
         name, equals, _ = line.partition(" = ")
         if not line and table:
-            lines += _left_out(table, stated)
+            lines += _left_out(keys, table, stated)
         elif line.startswith("["):
             table, stated = line.strip("[]"), set()
         elif equals and table:
@@ -77,9 +78,9 @@ def commented_setup(setup: Setup) -> str:
     return "\n".join([*lines, *_FOOT.splitlines()]) + "\n"
 
 
-def _left_out(table: str, stated: Collection[str]) -> Iterator[str]:
+def _left_out(keys: Collection[Key], table: str, stated: Collection[str]) -> Iterator[str]:
     """Yield the keys of a table that are not stated and have an example, behind a #."""
-    for key in keys_of(RecordingToml):
+    for key in keys:
         if key.table == table and key.name not in stated and key.text("example"):
             yield from comment(key)
             yield f"# {key.name} = {key.text('example')}"

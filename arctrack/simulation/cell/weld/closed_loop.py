@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from arctrack.control.cell_file import CellJob
-from arctrack.nominal import nominal_setup
+from arctrack.nominal import nominal_setup, with_profiler
 from arctrack.offset_count import OffsetCount
 from arctrack.simulation.cell.cell import BRIDGE_MM, Cell
 from arctrack.simulation.cell.robot import Robot
@@ -54,6 +54,7 @@ class LoopPlan:
       displaced as a whole: by `displaced_mm` to the left of the path's start, and as far along it.
     - `finds_first`: in a live run the robot stands without an arc and commands FIND before it welds.
     - `job`: a cell's job, whose passes follow each other; its joint is not used.
+    - `profiles`: a laser profiler stands in the camera's place (`nominal.with_profiler`).
     """
 
     joint: str = "corrugation"
@@ -75,6 +76,7 @@ class LoopPlan:
     path: str | None = None
     finds_first: bool = False
     job: CellJob | None = None
+    profiles: bool = False
 
 
 @dataclass(frozen=True)
@@ -289,7 +291,8 @@ class ClosedLoop:
 def setup_of(plan: LoopPlan) -> Setup:
     """Return the setup that the tracker knows; its seam begins where the torch does."""
     width, height = plan.size_px
-    setup = balance(nominal_setup(plan.joint, plan.material, width=width, height=height))
+    nominal = nominal_setup(plan.joint, plan.material, width=width, height=height)
+    setup = with_profiler(nominal) if plan.profiles else balance(nominal)
     if plan.path is not None:
         return replace(setup, joint=ProgrammedPath.of(plan.path, setup).taken_by(setup.joint))
     points = ((START_MM, 0.0, 0.0), (START_MM + plan.length_mm + 100.0, 0.0, 0.0))

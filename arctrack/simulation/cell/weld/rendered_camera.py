@@ -16,12 +16,13 @@ from arctrack.simulation.turning_seam import TurningSeam
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.condition import Condition
+from noise_model.drawn_profile import draw_profile
 from noise_model.effects import apply_setup_effects, checked
 from noise_model.forward import Renderer, draw_frame
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.plan.noise import expected_speckle
 from noise_model.setup import Setup
-from noise_model.surface.joint import BentSeam, Seam, SeamLine
+from noise_model.surface.joint import BentSeam, SeamLine
 from robot_io import Switch
 from tracker.state import Frame
 
@@ -56,7 +57,8 @@ class RenderedCamera:
         self.part_seed = int(self.rng.integers(2**31))
         self._renderer = Renderer(1)
         effects = dict(self.true_setup.effects)
-        effects.setdefault("laser_speckle", expected_speckle(self.setup))
+        if self.setup.profiler is None:
+            effects.setdefault("laser_speckle", expected_speckle(self.setup))
         joint, missing = self.true_setup.joint, self.true_setup.missing
         self._true = replace(self.true_setup, effects=checked(effects, joint, missing))
         self.begin()
@@ -73,11 +75,13 @@ class RenderedCamera:
         self.tracking.finish()
 
     def look(self) -> Shown:
-        """Return the image (H, W), DN, that the camera takes now."""
+        """Return the image (H, W), DN, that the camera takes now, or the profile (2, columns)."""
         if self.job is not None and self.job.again is not None and not self.job.again.laser:
             return np.zeros(self.setup.frame_shape, self.setup.sensor.dtype)
         T_base_tool = self.robot.T_base_tool()
         true_setup, seam = self._seen(T_base_tool)
+        if true_setup.profiler is not None:
+            return self._profile(true_setup, T_base_tool, seam)
         exposure_s = self._true.camera.exposure_s if math.isnan(self.exposure_s) else self.exposure_s
         condition = Condition(float(self.is_laser_on), self.level_now(), exposure_s, self.robot.now_s)
         image_dn = draw_frame(
@@ -93,6 +97,14 @@ class RenderedCamera:
             view = self._renderer.layers(apply_setup_effects(true_setup), T_base_tool, seam).view
             self._tack(image_dn, view.surface[0])
         return image_dn
+
+    def _profile(self, true_setup: Setup, T_base_tool: Float64, seam: BentSeam) -> Integers:
+        """Return the profile (2, columns) along the stretch that the sheet meets; none with the laser off."""
+        sheet_mm = true_setup.laser.origin_in_tool_mm[0]
+        station_mm = float(make_scene(true_setup, T_base_tool).T_joint_tool[0] @ [sheet_mm, 0.0, 0.0, 1.0])
+        stretch = seam.lines[int(seam.stretch_at(np.array(station_mm)))]
+        image = draw_profile(true_setup, make_scene(true_setup, T_base_tool, stretch), self.rng)
+        return image if self.is_laser_on else np.zeros_like(image)
 
     def _tack(self, image_dn: Integers, surface_mm: Float64) -> None:
         """Draw tacks over an image (H, W) that shows points (H, W, 3), mm, joint frame: bright, uneven beads.
@@ -134,7 +146,7 @@ class RenderedCamera:
             return self.arc_level(self.robot.now_s)
         return 1.0 if self.robot.status.arc is Switch.ON else 0.0
 
-    def _seen(self, T_base_tool: Float64) -> tuple[Setup, Seam]:
+    def _seen(self, T_base_tool: Float64) -> tuple[Setup, BentSeam]:
         """Return the true setup and seam as they are seen from a pose (4, 4)."""
         world, joint = self.robot.world, self.true_setup.joint
         if world.course is not None:

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from arctrack.cli import app
 from arctrack.cli.cell import event_lines
+from arctrack.errors import ArctrackError
 from arctrack.simulation.cell.robot import CORRECTION_MM_S, Robot
 from arctrack.simulation.cell.weld.closed_loop import ClosedLoop, LoopPlan
 from arctrack.simulation.cell.weld.events import arc_fault, arc_fault_s
@@ -53,6 +54,24 @@ def test_a_torch_follows_a_displaced_part_round_a_turn(joint, path, speed_mm_s, 
     assert set(settled) == {Validity.VALID}
     first, last = loop.cell.world.R_base_tool(0.0), loop.cell.world.R_base_tool(length_mm)
     assert first[:, 0] @ last[:, 0] < 0.6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("joint", ["v_groove", "corrugation"])
+def test_a_torch_follows_a_displaced_seam_that_a_profiler_sees(joint):
+    loop = ClosedLoop(replace(QUICK, joint=joint, displaced_mm=-3.0, profiles=True))
+    result = loop.run()
+    # It was off by 0.01 mm RMS and 0.02 mm at most as this was written.
+    assert result.max_mm < 0.1
+    assert loop.samples[-1].torch_mm[0] == pytest.approx(-3.0, abs=0.1)
+    settled = [f.offset.validity for f in loop.frames if f.sample.time_s >= result.lock_s]
+    assert set(settled) == {Validity.VALID}
+
+
+def test_a_tack_is_refused_with_profiles(tmp_path):
+    words = ["cell", "run", str(tmp_path / "out"), "--profiles", "--event", "tack"]
+    with pytest.raises(ArctrackError, match="--event tack: a tack is drawn on images alone"):
+        raise CliRunner().invoke(app, words).exception or AssertionError
 
 
 @pytest.mark.slow
