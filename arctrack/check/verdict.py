@@ -68,18 +68,26 @@ class RunVerdict:
     @property
     def nothing_tracked(self) -> bool:
         """True if no frame is valid, or no offset is sent though the robot wants some."""
-        return self.valid == 0 or self.offsets.none_sent
+        return (self.valid == 0 and not self.is_blind) or self.offsets.none_sent
+
+    @property
+    def is_blind(self) -> bool:
+        """True of a pass that follows an earlier one without the laser: its offsets alone count."""
+        return 0 < self.laser_on == self.flags.get(flags.LASER_OFF.name, 0)
 
     @property
     def few_tracked(self) -> bool:
         """True if fewer offsets are sent, or fewer frames are valid, than in a sound run."""
-        return self.nothing_tracked or is_few(self.valid, self.laser_on, self.offsets)
+        sound = self.laser_on if self.is_blind else self.valid
+        return self.nothing_tracked or is_few(sound, self.laser_on, self.offsets)
 
     @property
     def line(self) -> str:
         """The verdict in a line."""
         if self.laser_on == 0:
             return f"no frame valid: the laser is off in all {self.frames}, says frames.csv"
+        if self.is_blind:
+            return f"{self.offsets}; the pass follows an earlier one without the laser"
         causes = [*self.flags.items()][:MAX_NAMED]
         if self.valid >= ENOUGH * self.laser_on:
             causes += sorted(self.reasons.items(), key=lambda item: -item[1])[:MAX_NAMED]
@@ -137,8 +145,10 @@ def verdict_of(
     counts = count_flags([track for track in lit if not track.valid])
     invalidating = {flag.name for flag in flags.FLAGS if flag.invalidates}
     named = sorted((name for name in counts if name in invalidating), key=lambda name: -counts[name])
-    hint = seek() if is_few(valid, len(lit), offsets) or seam.is_beyond_search else None
     shown = {name: counts[name] for name in named}
+    is_blind = shown.get(flags.LASER_OFF.name) == len(lit)
+    is_wrong = (is_few(valid, len(lit), offsets) and not is_blind) or seam.is_beyond_search
+    hint = seek() if is_wrong else None
     return RunVerdict(frames, len(lit), valid, shown, hint, offsets, faults(reasons), seam=seam)
 
 
