@@ -14,6 +14,7 @@ from arctrack.control.frame_tracking import Capture, TrackedFrame
 from arctrack.control.innovation import SeamMeasurement
 from arctrack.control.pose_watch import Doubt
 from arctrack.recording.run_offsets import OffsetOutcome
+from arctrack.recording.weld_schedule import NO_WELD
 from noise_model.compiled.arrays import Float64
 from robot_io import BusMessage, GateReason, PoseAt, PoseStatus, Received, RobotStatus, SeamOffset
 from robot_io.poses.pose_questions import Implausibility
@@ -109,6 +110,7 @@ class FrameOutcome:
             self.offset.validity.name.lower() if math.isfinite(self.sent_s) else "not_sent",
             "" if self.gate_reason is GateReason.NONE else self.gate_reason.name.lower(),
             "" if self.pose_doubt is None else self.pose_doubt.name.lower(),
+            self.tracked.weld or NO_WELD,
         )
 
 

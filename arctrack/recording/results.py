@@ -77,6 +77,10 @@ COLUMNS = (
     "run_validity",
     "run_gate_reason",
     "run_pose_doubt",
+    "weld_speed_mm_s",
+    "weld_weave_mm",
+    "weld_wire_m_min",
+    "weld_refusal",
 )
 """The format's own columns, then arctrack's."""
 
@@ -129,6 +133,8 @@ class ResultsWriter:
                 run.validity,
                 run.gate_reason,
                 run.pose_doubt,
+                *(_text(value, 4) for value in outcome.weld[:3]),
+                outcome.weld.refusal,
             )
         )
 

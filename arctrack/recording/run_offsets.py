@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from arctrack.errors import in_file
+from arctrack.recording.weld_schedule import NO_WELD, WeldValues
 from tracker.state import NAN
 
 LIVE_FOLDER, LIVE_RESULTS = "live", "results.csv"
@@ -17,7 +18,7 @@ class OffsetOutcome:
     """Outcome of a frame's offset: y and z, mm, its validity, the gate's reason, the doubt of the poses.
 
     The texts are those of results.csv; `gate_reason` and `pose_doubt` are empty where there was none, and all
-    three where they were not recorded.
+    three where they were not recorded. `weld` is what the weld schedule gives for the torch's place.
     """
 
     offset_y_mm: float = NAN
@@ -25,6 +26,7 @@ class OffsetOutcome:
     validity: str = ""
     gate_reason: str = ""
     pose_doubt: str = ""
+    weld: WeldValues = NO_WELD
 
     @property
     def gate(self) -> str:

@@ -31,6 +31,10 @@ class WeldValues(NamedTuple):
     refusal: str = ""
 
 
+NO_WELD = WeldValues()
+"""Nothing is stated of the weld."""
+
+
 @dataclass(frozen=True, eq=False)
 class WeldSchedule:
     """Table of a weld's inputs: `values` (n,) by name, over the rising `measured` (n,) of gap or area."""

@@ -15,8 +15,17 @@ from tests.arctrack.test_replays_at_once import copies, run
 
 parquet = pytest.importorskip("pyarrow.parquet")
 
-RUN_TEXTS = ("run_validity", "run_gate_reason", "run_pose_doubt")
-TEXTS = ("recording", "recording_path", "flags", "pose_doubt", "validity", "gate_reason", *RUN_TEXTS)
+OWN_TEXTS = ("run_validity", "run_gate_reason", "run_pose_doubt", "weld_refusal")
+TEXTS = (
+    "recording",
+    "recording_path",
+    "flags",
+    "pose_doubt",
+    "validity",
+    "gate_reason",
+    *OWN_TEXTS,
+    "weld_refusal",
+)
 
 
 def expected(recording: Path, results: Path) -> list[dict[str, object]]:
