@@ -9,9 +9,10 @@ import typer
 
 from arctrack.cli.cell import cell
 from arctrack.cli.exit_codes import WARNED
-from arctrack.cli.inputs import look_at_cell
+from arctrack.cli.inputs import check_can_be_replaced, look_at_cell
 from arctrack.cli.simulate import JointName, MaterialName
-from arctrack.output import check_new_folder
+from arctrack.errors import in_file
+from arctrack.output import check_new_folder, write_whole
 
 if TYPE_CHECKING:
     from arctrack.control.cell_file import CellFile, CellJob
@@ -55,6 +56,44 @@ def check(file: Annotated[Path, typer.Argument(help="The cell file, cell.toml.")
         raise typer.Exit(WARNED)
 
 
+@cell.command(epilog="Example: arctrack cell program /tmp/my_cell/cell.toml --job 2 --out fill.csv")
+def program(
+    file: Annotated[Path, typer.Argument(help="The cell file, cell.toml.")],
+    out: Annotated[Path, typer.Option(help="CSV file for the places of the pass.")],
+    job: Annotated[
+        int | None, typer.Option(help="The job that follows an earlier pass, by its number.")
+    ] = None,
+) -> None:
+    """Write the places of a pass that follows an earlier one, in base, for a robot that takes no offsets.
+
+    Each millimetre has the torch's point, the tool's rotation, their sigma, and what the weld schedule gives.
+    The exit code is 1 where the schedule gives nothing for some of them.
+    """
+    look_at_cell(file)
+    check_can_be_replaced(out)
+    from collections import Counter
+
+    from arctrack.cli import console
+    from arctrack.control.cell_file import read_cell_file
+    from arctrack.control.pass_program import pass_program, program_csv
+
+    read = read_cell_file(file)
+    number = read.job_numbered(job)
+    if read.jobs[number].again is None:
+        raise in_file(file, f"[jobs.{number}.again]: missing; state the seam of the pass that it follows")
+    points = pass_program(read.jobs[number], read.setup.setup)
+    if not points:
+        raise in_file(file, f"[jobs.{number}.again] seam: lies past the ends of the job's nominal seam")
+    write_whole(out, program_csv(points))
+    console.say(f"{out}: {len(points)} places, sigma {max(max(p.sigma_mm) for p in points):.3f} mm at most")
+    refusals = Counter(point.weld.refusal for point in points if point.weld.refusal)
+    console.warn(
+        f"{out}: {n} of {len(points)} places have no weld values: {reason}" for reason, n in refusals.items()
+    )
+    if refusals:
+        raise typer.Exit(WARNED)
+
+
 def _lines(read: CellFile) -> list[str]:
     from robot_io.protocol.bus_load import frames_per_s
 
@@ -72,6 +111,8 @@ def _lines(read: CellFile) -> list[str]:
 
 
 def _of_job(read: CellFile, job: CellJob) -> str:
+    from arctrack.recording.weld_schedule import read_schedule
+
     parts = [f"{job.name}, a {job.setup_for(read.setup.setup).joint.type}"]
     for name, axis, range_mm in (
         ("y", job.correction.y, read.limits.range_y_mm),
@@ -80,6 +121,14 @@ def _of_job(read: CellFile, job: CellJob) -> str:
         within_mm = min(axis.limit_mm, range_mm)
         bias = f", bias {axis.bias_mm:+g} mm" if axis.bias_mm else ""
         parts.append(f"{name} within {within_mm:g} mm{bias}" if axis.enable else f"{name} not corrected")
+    if job.again is not None:
+        way = "back along" if job.again.reverse else "along"
+        eye = "with" if job.again.laser else "without"
+        parts.append(f"{way} {job.again.seam} {eye} the laser")
+    if job.keep_seam is not None:
+        parts.append(f"keeps {job.keep_seam}")
+    if job.schedule is not None:
+        parts.append(f"welds by {job.schedule}, by {read_schedule(job.schedule).by}")
     if job.bridge_mm is not None:
         parts.append(f"bridges {job.bridge_mm:g} mm")
     required = {

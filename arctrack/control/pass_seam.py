@@ -145,13 +145,14 @@ class LaidSeam:
     """A kept seam along a pass's nominal line, its n stations rising.
 
     `earlier` is what the tracker follows. `gaps_mm` and `areas_mm2` (n,) are the joint's, NaN where they were
-    not measured. `R_joint_tools` (n, 3, 3) are the tool's rotations in the joint frame of the present pass,
-    as that pass should have them.
+    not measured. `segments` are those of the nominal line. `R_joint_tools` (n, 3, 3) are the tool's rotations
+    in the joint frame of the present pass, as that pass should have them.
     """
 
     earlier: EarlierPass
     gaps_mm: Float64
     areas_mm2: Float64
+    segments: tuple[int, ...]
     R_joint_tools: Float64
 
     def joint_at(self, station_mm: float) -> tuple[float, float]:
@@ -206,4 +207,10 @@ def lay_seam(kept: KeptSeam, geometry: SensorGeometry, again: AgainChoice) -> La
     y_mm2, z_mm2 = np.square(kept.calibration_sigma_mm).tolist()
     tilts_deg = np.array([tool_tilt_deg(R) for R in R_joint_tools[order]])
     earlier = EarlierPass(history, again.sigma_mm, (y_mm2, z_mm2), tilts_deg, again.laser)
-    return LaidSeam(earlier, kept.gaps_mm[order], kept.areas_mm2[order], R_joint_tools[order])
+    return LaidSeam(
+        earlier,
+        kept.gaps_mm[order],
+        kept.areas_mm2[order],
+        tuple(segments[n] for n in order.tolist()),
+        R_joint_tools[order],
+    )

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 
 from arctrack.control.cell_file import CellJob
+from arctrack.control.cell_file.choices import AgainChoice
 from arctrack.control.frame_tracking import PassFrame
 from arctrack.control.pass_seam import LaidSeam, PassRecorder, lay_seam
 from arctrack.errors import ArctrackError, in_file
@@ -106,15 +107,24 @@ class SeamPasses:
         """Return the earlier pass's seam; ArctrackError, with the cure, where it is unusable."""
         again = self._job.again
         assert again is not None
-        kept = read_seam(again.seam)
-        age_s = (self._now() - kept.kept_at).total_seconds()
-        if self._limits_age and not 0.0 <= age_s <= again.max_age_s:
-            raise in_file(
-                again.seam,
-                f"kept_at: is {age_s:.0f} s ago, [again] max_age_s is {again.max_age_s:g}; "
-                "track the earlier pass on this part",
-            )
-        try:
-            return lay_seam(kept, self._geometry, again)
-        except ValueError as error:
-            raise in_file(again.seam, str(error)) from None
+        now = self._now() if self._limits_age else None
+        return read_laid(again, self._geometry, now)
+
+
+def read_laid(again: AgainChoice, geometry: SensorGeometry, now: datetime | None = None) -> LaidSeam:
+    """Return an earlier pass's seam along a job's line, not older than the job states where `now` is known.
+
+    ArctrackError names the file, the key and the cure where it is unusable.
+    """
+    kept = read_seam(again.seam)
+    age_s = 0.0 if now is None else (now - kept.kept_at).total_seconds()
+    if not 0.0 <= age_s <= again.max_age_s:
+        raise in_file(
+            again.seam,
+            f"kept_at: is {age_s:.0f} s ago, [again] max_age_s is {again.max_age_s:g}; "
+            "track the earlier pass on this part",
+        )
+    try:
+        return lay_seam(kept, geometry, again)
+    except ValueError as error:
+        raise in_file(again.seam, str(error)) from None
