@@ -162,6 +162,11 @@ class Controller:
             and not self._closed
         )
 
+    def is_armed(self, now_s: float) -> bool:
+        """Return True if the robot commands that offsets may go out."""
+        command = self._fresh_command(now_s)
+        return command is not None and command.command in ARMING
+
     def on_message(self, received: Received, now_s: float) -> list[BusMessage]:
         """Take an accepted message, and return what answers it.
 

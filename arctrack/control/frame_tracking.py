@@ -33,7 +33,7 @@ class Capture:
 
     `captured_s` is on the tracker's clock; `pose` is the tool's then, and may be refused; `robot` is the
     latest status, None before the first. Measurements from poses that are not trusted must not last.
-    `look_ahead` is that of the offset.
+    `look_ahead` is that of the offset. Of a pass are the frames while the robot has armed the tracker.
     """
 
     index: int
@@ -42,6 +42,7 @@ class Capture:
     robot: RobotStatus | None
     is_trusted: bool
     look_ahead: OffsetLookAhead
+    is_armed: bool = True
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ class FrameTracking:
         seam = seam_measurement(setup, track, pose, calibration_mm2)
         weld = None
         if self._passes is not None and pose is not None:
-            if capture.is_trusted:
+            if capture.is_trusted and capture.is_armed:
                 self._passes.add(PassFrame(track, seam, pose.T_base_tool, calibration_mm2))
             weld = self._passes.weld_at(pose.T_base_tool, capture.look_ahead)
         return TrackedFrame(track, seam, FrameStep(shown, inputs, self.tracker.reading), took_ms, weld)

@@ -158,7 +158,15 @@ class TrackingService(Generic[Shown]):
         is_refused = pose.status is PoseStatus.REFUSED
         if not is_refused:
             self.look_ahead = poses.offset_look_ahead(now_s)
-        capture = Capture(index, captured_s, pose, self.robot, poses.are_trusted(now_s), self.look_ahead)
+        capture = Capture(
+            index=index,
+            captured_s=captured_s,
+            pose=pose,
+            robot=self.robot,
+            is_trusted=poses.are_trusted(now_s),
+            look_ahead=self.look_ahead,
+            is_armed=self.controller.is_armed(now_s),
+        )
         tracked = self.seam.tracking.track(shown, capture)
         if tracked.seam is not None:
             poses.see(tracked.seam, tracked.track.valid)

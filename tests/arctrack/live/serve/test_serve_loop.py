@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import astuple, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +14,17 @@ import pytest
 from made import playing_cell
 
 from arctrack.control.bus_poses import BusPoses
-from arctrack.control.cell_file import read_cell_file
+from arctrack.control.cell_file import CellJob, read_cell_file
+from arctrack.control.cell_file.choices import AgainChoice
 from arctrack.control.controller import Controller
 from arctrack.control.frame_tracking import FrameTracking
 from arctrack.control.innovation import InnovationLimits
-from arctrack.control.job import Job
+from arctrack.control.job import Job, PartLimits
 from arctrack.control.policy import ServicePolicy
 from arctrack.control.pose_watch import nominal_path
 from arctrack.control.processor import TOO_BUSY
 from arctrack.control.recorded_job import with_job
+from arctrack.control.seam_passes import SeamPasses
 from arctrack.control.tracking_service import SeamTracker
 from arctrack.live.cameras.camera import CameraTraits, UnreadableFrame
 from arctrack.live.cameras.recording import RecordingCamera
@@ -39,6 +43,7 @@ from noise_model.setup import Setup
 from noise_model.surface.joint import SeamLine
 from robot_io import (
     Command,
+    GateLimits,
     GateReason,
     LaserState,
     Link,
@@ -56,6 +61,7 @@ from robot_io import (
     Validity,
 )
 from robot_io.poses.plausibility_limits import PlausibilityLimits
+from tracker.seam.correction import UNSTATED
 from tracker.state import Frame
 
 CHANNELS = (f"test_serve_{n}" for n in itertools.count())
@@ -101,19 +107,25 @@ class DrawnCamera:
 class Stage:
     """A robot that travels along a seam, its camera, and the loop; `run` lets time pass in small steps."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: Setup, passes: Mapping[int, CellJob] | None = None) -> None:
         channel = next(CHANNELS)
         self.setup, self.camera = setup, DrawnCamera()
         self.link, self.robot = Link(channel=channel), Link(channel=channel)
         jobs = {number: Job(setup.joint.type, poses_proven=True) for number in (1, 2)}
+        trackings = {number: FrameTracking(setup) for number in jobs}
+        for number, job in (passes or {}).items():
+            jobs[number] = job.to_job(setup, GateLimits())
+            make_passes = partial(SeamPasses, job, limits_age=True)
+            trackings[number] = FrameTracking(setup, job.correction, make_passes=make_passes)
         controller = Controller(jobs)
         path, limits = nominal_path(setup.joint), PlausibilityLimits()
         self.seams = {
             number: SeamTracker(
-                BusPoses(path, limits, InnovationLimits(), ServicePolicy()), FrameTracking(setup)
+                BusPoses(path, limits, InnovationLimits(), ServicePolicy()), trackings[number]
             )
             for number in jobs
         }
+        self.start_mm = 40.0
         self.tracks = []
         self.loop = LiveLoop(
             self.camera,
@@ -148,7 +160,7 @@ class Stage:
 
     @property
     def place_mm(self) -> float:
-        return 40.0 + SPEED_MM_S * self.camera.time_s
+        return self.start_mm + SPEED_MM_S * self.camera.time_s
 
     def _say(self) -> None:
         if not self.speaks:
@@ -323,6 +335,40 @@ def test_after_disarm_and_with_another_job_nothing_is_known_of_the_seam(stage: S
     heard = stage.run(0.3)
     assert of_type(heard, TrackerStatus)[-1].gate_reason is GateReason.JOB_UNKNOWN
     assert stage.loop.seam is stage.seams[2]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*root.json")
+def test_a_later_job_follows_the_pass_of_an_earlier_one(seen_setup: Setup, tmp_path: Path) -> None:
+    seam = tmp_path / "root.json"
+    root = CellJob("root", None, UNSTATED, False, PartLimits(), None, keep_seam=seam)
+    again = AgainChoice(seam, side_mm=-1.5, laser=False)
+    fill = replace(root, keep_seam=None, again=again, correction=again.displaced(UNSTATED))
+    stage = Stage(seen_setup, {1: root, 2: fill})
+    with stage.link, stage.robot:
+        stage.command = replace(stage.command, command=Command.DISARM, job_number=1)
+        stage.run(0.1)
+        stage.command = replace(stage.command, command=Command.TRACK)
+        stage.run(2.4)
+        assert not seam.exists()
+        stage.command = replace(stage.command, command=Command.DISARM)
+        stage.run(0.02)
+        kept = seam.read_text()
+        # What the sensor sees on the robot's way back is of no pass.
+        stage.run(1.0)
+        stage.start_mm -= 1.5 * SPEED_MM_S
+        stage.run(0.5)
+        assert seam.read_text() == kept
+        stage.command = replace(stage.command, job_number=2)
+        stage.run(0.1)
+        stage.command = replace(stage.command, command=Command.TRACK)
+        stage.tracks.clear()
+        offsets = of_type(stage.run(1.6), SeamOffset)
+    assert not stage.camera.laser_on
+    assert stage.tracks[-1].flag_names[-1] == "pass_followed"
+    assert offsets[-1].validity is Validity.VALID
+    assert offsets[-1].offset_y_mm == pytest.approx(SEAM_LEFT_MM - 1.5, abs=0.1)
+    assert seam.read_text() == kept
 
 
 def test_the_newest_frame_wins_and_the_robot_hears_how_many_were_dropped(stage: Stage) -> None:
