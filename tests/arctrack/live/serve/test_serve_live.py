@@ -264,12 +264,16 @@ def _check_black_boxes(folder: Path) -> None:
     """Replay what was saved on request, and of the run that was killed: to the tracks of the runs."""
     (asked,), (killed,) = folder.glob("*_asked_by_SIGUSR1"), folder.glob("*_run_ended_by_itself")
     for saved in (asked, killed):
-        # As a user does: in a process of its own.
-        command = [sys.executable, "-c", REPLAY, str(saved), "--no-pictures", "--out", str(saved / "again")]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        again, live = results_of(saved / "again"), results_of(saved / "live")
-        assert any(row["valid"] == "1" for row in live)
-        assert [told(row) for row in again] == [told(row) for row in live]
+        _check_replays(saved)
+
+
+def _check_replays(saved: Path) -> None:
+    """Replay a recording of a run as a user does, in a process of its own: to the tracks of the run."""
+    command = [sys.executable, "-c", REPLAY, str(saved), "--no-pictures", "--out", str(saved / "again")]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    again, live = results_of(saved / "again"), results_of(saved / "live")
+    assert any(row["valid"] == "1" for row in live)
+    assert [told(row) for row in again] == [told(row) for row in live]
 
 
 def told(row: dict[str, str]) -> dict[str, str]:
