@@ -345,6 +345,15 @@ def test_a_later_job_follows_the_pass_of_an_earlier_one(seen_setup: Setup, tmp_p
     again = AgainChoice(seam, side_mm=-1.5, laser=False)
     fill = replace(root, keep_seam=None, again=again, correction=again.displaced(UNSTATED))
     stage = Stage(seen_setup, {1: root, 2: fill})
+    wanted = []
+
+    def stay_on(is_on: bool) -> LaserState:
+        """A laser that nobody switches."""
+        wanted.append(is_on)
+        stage.camera.laser_on = True
+        return LaserState.UNKNOWN
+
+    stage.camera.switch_laser = stay_on
     with stage.link, stage.robot:
         stage.command = replace(stage.command, command=Command.DISARM, job_number=1)
         stage.run(0.1)
@@ -354,8 +363,12 @@ def test_a_later_job_follows_the_pass_of_an_earlier_one(seen_setup: Setup, tmp_p
         stage.command = replace(stage.command, command=Command.DISARM)
         stage.run(0.02)
         kept = seam.read_text()
-        # What the sensor sees on the robot's way back is of no pass.
+        # What the sensor sees between passes is of none of them.
+        stage.command = replace(stage.command, command=Command.STORE_ZERO)
         stage.run(1.0)
+        assert stage.tracks[-1].valid
+        assert stage.seams[1].poses.doubt is None
+        stage.command = replace(stage.command, command=Command.DISARM)
         stage.start_mm -= 1.5 * SPEED_MM_S
         stage.run(0.5)
         assert seam.read_text() == kept
@@ -364,7 +377,7 @@ def test_a_later_job_follows_the_pass_of_an_earlier_one(seen_setup: Setup, tmp_p
         stage.command = replace(stage.command, command=Command.TRACK)
         stage.tracks.clear()
         offsets = of_type(stage.run(1.6), SeamOffset)
-    assert not stage.camera.laser_on
+    assert not wanted[-1]
     assert stage.tracks[-1].flag_names[-1] == "pass_followed"
     assert offsets[-1].validity is Validity.VALID
     assert offsets[-1].offset_y_mm == pytest.approx(SEAM_LEFT_MM - 1.5, abs=0.1)
