@@ -93,6 +93,19 @@ def test_five_passes_are_placed_within_a_tenth_of_a_millimetre(root: tuple[Close
 
 
 @pytest.mark.slow
+def test_an_error_of_the_calibration_moves_all_passes_alike(tmp_path: Path) -> None:
+    plan, seam = replace(PLAN, exact=False, seed=2), tmp_path / "root.json"
+    first = ClosedLoop(replace(plan, job=root_job(seam)))
+    first.run()
+    first.cell.tracker.service.close()
+    of_root = off_mm(first)
+    upper = ClosedLoop(replace(plan, job=upper_job(seam, 3.0, 3.0)))
+    upper.run()
+    assert np.hypot(*of_root.T).max() > WITHIN_MM
+    assert np.hypot(*(off_mm(upper, 3.0, 3.0) - of_root.mean(axis=0)).T).max() <= WITHIN_MM
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("moved_mm", [0.0, 1.0])
 def test_a_pass_that_sees_the_seam_goes_by_both_or_not_at_all(
     root: tuple[ClosedLoop, Path], moved_mm: float
