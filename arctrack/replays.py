@@ -119,6 +119,8 @@ def sizes(folder: Path) -> Mapping[str, int]:
 def made_of(recording: Recording, options: ReplayOptions) -> str:
     """Return the digest of what a replay is made of: recording, setup, options, cell file, arctrack itself.
 
+    A cell's jobs count with the earlier pass and the weld schedule that they read.
+
     Tables and setups count by content, frames by name, size and time of change: a fleet's are too many to
     read twice.
     """
@@ -129,7 +131,7 @@ def made_of(recording: Recording, options: ReplayOptions) -> str:
         source_digest(),
         recording.name,
         repr(replace(options, cell=None)),
-        *_contents(recording, () if cell is None else (cell.path,)),
+        *_contents(recording, () if cell is None else (cell.path, *cell.files_read)),
         *_frames(recording),
     ):
         digest.update(hashlib.sha256(part.encode(errors="surrogateescape")).digest())

@@ -20,6 +20,7 @@ from arctrack.recording import read_recording
 from arctrack.recording.seam_file import read_seam
 from arctrack.recording.setup_file import parse_setup
 from arctrack.replay.replay import Replay, ReplayOptions, replay_recording
+from arctrack.replays import made_of
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "v_groove"
 PASSES = """
@@ -146,3 +147,13 @@ def test_a_check_of_the_cell_says_what_passes_do(cell: Path) -> None:
     assert "keeps" in done.output
     assert "root.json without the laser" in done.output.replace("\n", " ")
     assert "back along" in done.output
+
+
+def test_a_replay_is_made_of_the_seam_that_it_follows(cell: Path) -> None:
+    recording, read = read_recording(EXAMPLE), read_cell_file(cell)
+    options = ReplayOptions(pictures=False, cell=read, job_number=2)
+    before = made_of(recording, options)
+    assert made_of(recording, options) == before
+    seam = cell.parent / "root.json"
+    seam.write_text(seam.read_text() + "\n")
+    assert made_of(recording, options) != before

@@ -297,6 +297,12 @@ class CellFile:
     mcap: McapChoice
 
     @property
+    def files_read(self) -> tuple[Path, ...]:
+        """The files that the jobs read beside the setup: seams of earlier passes, weld schedules."""
+        schedules = (job.schedule for job in self.jobs.values() if job.schedule is not None)
+        return (*(job.again.seam for job in self.jobs.values() if job.again is not None), *schedules)
+
+    @property
     def bus_load(self) -> float:
         """The share of the bus that all messages take at most; 0 of a port, which is no bus."""
         if self.bus.is_port:
