@@ -69,6 +69,8 @@ COLUMNS = (
     "area_mm2",
     "area_sigma_mm2",
     "arc_level_sigma",
+    "arc_height_mm",
+    "arc_height_sigma_mm",
     "pose_doubt",
     "validity",
     "gate_reason",
@@ -99,9 +101,17 @@ class ResultsWriter:
         self._append(COLUMNS)
 
     def write(
-        self, track: Track, outcome: OffsetOutcome, compute_ms: float = NAN, run: OffsetOutcome | None = None
+        self,
+        track: Track,
+        outcome: OffsetOutcome,
+        compute_ms: float = NAN,
+        run: OffsetOutcome | None = None,
+        arc_height_mm: tuple[float, float] = (NAN, NAN),
     ) -> None:
-        """Append a frame's row: track, its offset on the bus, and in a replay what the run had sent."""
+        """Append a frame's row: track, its offset on the bus, and in a replay what the run had sent.
+
+        `arc_height_mm` is the height of the arc's centre above the surface, mm, and its 1 sigma.
+        """
         run = run or NO_OUTCOME
         lengths_mm = (
             *track.seam_tool_mm,
@@ -125,6 +135,7 @@ class ResultsWriter:
                 _text(compute_ms, 3),
                 *(_text(value, 5) for value in _section_values(track)),
                 _text(track.arc_level_sigma, 5),
+                *(_text(value, 4) for value in arc_height_mm),
                 outcome.pose_doubt,
                 outcome.validity,
                 outcome.gate_reason,

@@ -30,6 +30,7 @@ from arctrack.recording.ahead import read_ahead
 from arctrack.recording.results import BUS_LOG, FILES, Latency, ResultsWriter, Summary, count_flags
 from arctrack.recording.run_offsets import RunComparison, read_run_offsets
 from arctrack.recording.score import score
+from arctrack.replay.arc_height import ArcHeightEstimator, above_surface_mm
 from arctrack.replay.pages.drawing import drawing_on
 from arctrack.replay.pages.drawing_spool import ReplayedFrame, SeenFile
 from arctrack.replay.replay_clock import RealTime, RecordingTime
@@ -37,7 +38,7 @@ from arctrack.replay.replay_loop import replay_frames, replay_without_bus
 from robot_io import BusLogError, Link, LinkError, Source, Verdict
 from robot_io.poses.pose_questions import Implausibility
 from tracker import flags
-from tracker.state import Frame, Track
+from tracker.state import NAN, Frame, Track
 from tracker.warm_up import OnCompiled, WarmUp
 
 if TYPE_CHECKING:
@@ -246,16 +247,22 @@ def _replay(
         )
         # However it ends, the robot is told that nothing holds any longer.
         opened.callback(service.close)
+        # A robot on the bus waits for nothing but the offsets.
+        is_timed = interface != VIRTUAL or recording.setup.profiler is not None
+        heights = None if is_timed else ArcHeightEstimator(job.tracking.tracker.geometry)
         for row, frame, outcome in replay_frames(service, clock, recording.rows, frames):
             check_interrupt()
             tracked, sent = outcome.tracked, outcome.for_results()
             run = run_offsets.get(row.index)
             if run is not None:
                 comparison.add(run, sent)
-            results.write(tracked.track, sent, tracked.took_ms, run)
+            height_mm = (
+                (NAN, NAN) if heights is None else above_surface_mm(heights, tracked.track, tracked.step)
+            )
+            results.write(tracked.track, sent, tracked.took_ms, run, height_mm)
             doubts.append(outcome.pose_doubt)
             if seen is not None:
-                seen.add(ReplayedFrame.of(outcome, run))
+                seen.add(ReplayedFrame.of(outcome, run, height_mm))
             tracks.append(replace(tracked.track, stripe=None))
             compute_ms.append(tracked.took_ms)
             if isinstance(frame, BadFrame):

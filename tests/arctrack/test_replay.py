@@ -45,6 +45,13 @@ def test_a_replay_tracks_and_writes_every_file(simulated: Path, tmp_path: Path) 
     assert [row["valid"] == "1" for row in rows] == lit
     assert [row["seam_y_mm"] != "" for row in rows] == lit
     assert all("laser_off" in row["flags"].split("|") for row, on in zip(rows, lit, strict=True) if not on)
+    assert [row["arc_level_sigma"] != "" for row in rows] == [row["arc_level"] != "" for row in rows]
+    stated_mm = recording.setup.arc.center_in_tool_mm[2]
+    heights = [row for row in rows if row["arc_height_mm"]]
+    assert heights
+    assert all(row["arc_level"] for row in heights)
+    off = [(float(row["arc_height_mm"]) - stated_mm) / float(row["arc_height_sigma_mm"]) for row in heights]
+    assert np.sqrt(np.mean(np.square(off))) < 2.0
     summary = json.loads((tmp_path / "summary.json").read_text())
     seen = {"laser_on": sum(lit), "valid": sum(lit), "invalid": 14 - sum(lit)}
     assert summary["frames"] == {"total": 14, **seen, "unreadable": 0}

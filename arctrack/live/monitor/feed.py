@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from enum import Enum
 
 from arctrack.live.journal.journal import JournalReader
-from arctrack.live.journal.records import Entry, GapReport, Status
+from arctrack.live.journal.records import Entry, FrameView, GapReport, Status
 from arctrack.live.monitor.options import MonitorOptions
 from arctrack.live.monitor.picture import MonitorPicture, Painter
 from arctrack.live.monitor.status import SHOWN_S, FrameRate, OffsetFlow, Point, point_of, status_content
@@ -167,7 +167,7 @@ class Feed:
             if entry is None:
                 return self._picture
             loop = asyncio.get_running_loop()
-            self.arc = view.arc
+            self.arc = arc_of(view)
             self._picture = await loop.run_in_executor(self._executor, self._painter.paint, entry, view)
             self._send(MessageKind.PICTURE, self._picture.message)
             if self._outboxes and time.monotonic() - self._heated_s > 0.5:
@@ -193,7 +193,7 @@ class Feed:
             self.gap = self._reader.gap()
             if not self._outboxes:
                 view = self._reader.newest_view()
-                self.arc = None if view is None else view.arc
+                self.arc = None if view is None else arc_of(view)
             self._send(MessageKind.STATUS, self.status_text())
         if self._outboxes and not self._painting.locked():
             self._painted = asyncio.create_task(self.picture())
@@ -222,3 +222,11 @@ class Feed:
     def _send(self, kind: MessageKind, message: Message) -> None:
         for outbox in self._outboxes:
             outbox.put(kind, message)
+
+
+def arc_of(view: FrameView) -> ArcLevel | None:
+    """Return a view's arc as its track has it, which knows one that the frame was not read with."""
+    arc, track = view.arc, view.track
+    if arc is None or not math.isfinite(track.arc_level):
+        return arc
+    return ArcLevel(track.arc_level, track.arc_level_sigma, arc.black_e, track.map_misfit)

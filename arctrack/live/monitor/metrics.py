@@ -79,6 +79,7 @@ class RunCollector(Collector):
         if gap is not None:
             yield _gauge("arctrack_gap", "1 while the arc map does not explain the frames", float(gap.is_gap))
             yield _gauge("arctrack_arc_height_millimeters", "The arc's height", gap.arc_height_mm)
+            yield _gauge("arctrack_arc_height_sigma_millimeters", "Its 1 sigma", gap.arc_height_sigma_mm)
 
 
 def _counts(status: Status) -> Iterator[Metric]:

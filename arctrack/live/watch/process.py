@@ -8,12 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 
-import numpy as np
-
 from arctrack.live.journal.journal import JournalReader, gap_name
 from arctrack.live.journal.records import Entry, GapReport, pack
 from arctrack.live.journal.ring import RingWriter
-from arctrack.live.watch.arc_height import NOT_KNOWN, ArcHeight, ArcHeightEstimator
+from arctrack.replay.arc_height import NOT_KNOWN, ArcHeight, ArcHeightEstimator
 from noise_model.robust import MAD_SIGMA
 from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry
@@ -233,27 +231,14 @@ class RunWatch:
     def _height(self) -> ArcHeight:
         view = self._reader.newest_view()
         entry = None if view is None else self._reader.entry(view.position)
-        if view is None or entry is None or not entry.frame.arc_on:
+        if view is None or entry is None or view.seam is None:
             return NOT_KNOWN
-        setup, pose, seam, stripe = (
-            self._jobs.get(entry.job_number),
-            entry.inputs.pose,
-            view.seam,
-            view.track.stripe,
-        )
-        if setup is None or setup.missing or pose is None or seam is None:
-            return NOT_KNOWN
-        if entry.frame.laser_on and stripe is None:
+        setup, pose = self._jobs.get(entry.job_number), entry.inputs.pose
+        if setup is None or setup.missing or pose is None:
             return NOT_KNOWN
         if entry.job_number not in self._estimators:
             self._estimators[entry.job_number] = ArcHeightEstimator(SensorGeometry.of(setup))
-        estimator = self._estimators[entry.job_number]
-        # Where a line shows no stripe, none is near.
-        stripe_px = None if stripe is None else np.nan_to_num(stripe.position_px, nan=-1e9)
-        # 2 mm off the stripe no light is the laser's.
-        keep_off_px = estimator.geometry.reach_px(2.0)
-        surface_mm = view.track.offset_sigma_z_mm
-        return estimator.estimate(entry.frame, pose, seam, stripe_px, keep_off_px, surface_mm)
+        return self._estimators[entry.job_number].of_track(entry.frame, pose, view.seam, view.track)
 
     def _look_at_the_gap(self) -> str:
         # It is loaded once there is a gap: it takes a second, and most runs have none.

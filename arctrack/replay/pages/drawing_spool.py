@@ -13,7 +13,7 @@ from arctrack.output import writing
 from arctrack.recording.run_offsets import NO_OUTCOME, OffsetOutcome
 from robot_io import SeamOffset, Validity
 from tracker.observation import Reading
-from tracker.state import Pose, Track
+from tracker.state import NAN, Pose, Track
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,8 @@ class ReplayedFrame:
 
     `pose` is None where it was refused or there was no frame, `reading` where no look was taken; `compute_ms`
     is NaN where there was no frame to step. `outcome` is what the gate did, and `run` what it had done in the
-    live run that a black box is of.
+    live run that a black box is of. `arc_height_mm` is the height of the arc's centre above the surface, mm,
+    and its 1 sigma.
     """
 
     pose: Pose | None
@@ -32,14 +33,24 @@ class ReplayedFrame:
     compute_ms: float
     outcome: OffsetOutcome = NO_OUTCOME
     run: OffsetOutcome | None = None
+    arc_height_mm: tuple[float, float] = (NAN, NAN)
 
     @classmethod
-    def of(cls, outcome: FrameOutcome, run: OffsetOutcome | None) -> Self:
+    def of(cls, outcome: FrameOutcome, run: OffsetOutcome | None, arc_height_mm: tuple[float, float]) -> Self:
         """Return what is to be drawn of a frame that was tracked and sent."""
         tracked, step = outcome.tracked, outcome.tracked.step
         pose, reading = (None, None) if step is None else (step.inputs.pose, step.reading)
         sent = outcome.for_results()
-        return cls(pose, tracked.track, reading, outcome.offset, tracked.took_ms, sent, run)
+        return cls(
+            pose,
+            tracked.track,
+            reading,
+            outcome.offset,
+            tracked.took_ms,
+            sent,
+            run,
+            arc_height_mm=arc_height_mm,
+        )
 
 
 class SeenFile:

@@ -37,6 +37,7 @@ SERIES = {
     "offset/y": ("offset_y_mm", style.BLUE),
     "offset/z": ("offset_z_mm", style.VERMILLION),
     "arc/level": ("arc_level", style.BLUE),
+    "arc/height": ("arc_height_mm", style.GREEN),
     "arc/misfit": ("map_misfit", style.VERMILLION),
     "confidence": ("confidence", style.BLUE),
 }

@@ -106,7 +106,8 @@ function rows(n) {
   list.push(["gap; mismatch", `${number(C.gap_mm[n], 3)}; ${signed(C.mismatch_mm[n], 3)} mm`, "gap"]);
   list.push(["seam to view's edge", known(C.fov_margin_mm[n]) ? `${number(C.fov_margin_mm[n], 2)} mm` : "–", "fov_margin"]);
   list.push(["confidence", number(C.confidence[n], 3), "confidence"]);
-  list.push(["arc level; map misfit", `${number(C.arc_level[n], 3)}; ${number(C.map_misfit[n], 2)}`, "arc_level"]);
+  list.push(["arc level; map misfit", `${number(C.arc_level[n], 3)}${known(C.arc_level_sigma[n]) ? " ± " + number(C.arc_level_sigma[n], 3) : ""}; ${number(C.map_misfit[n], 2)}`, "arc_level"]);
+  list.push(["arc's height", withSigma(C.arc_height_mm[n], C.arc_height_sigma_mm[n]), "arc_height"]);
   list.push(["computed in", known(C.compute_ms[n]) ? `${number(C.compute_ms[n], 1)} ms` : "–", "compute"]);
   return list;
 }

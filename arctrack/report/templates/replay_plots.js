@@ -104,6 +104,7 @@ const CHARTS = [
   { id: "seam_z", title: "seam z, tool frame [mm]", value: "seam_z_mm", band: ["seam_z_mm", "sigma_z_mm"], truth: "true_z_mm", hollow: (n) => !C.valid[n] },
   { id: "confidence", title: "confidence", value: "confidence", range: [0, 1] },
   { id: "arc_level", title: "arc over expected", value: "arc_level", second: "map_misfit", from: 0 },
+  { id: "arc_height", title: "arc's height [mm]", value: "arc_height_mm", band: ["arc_height_mm", "arc_height_sigma_mm"] },
 ];
 const cursors = []; // [line, x of a time]
 const times = C.time_s;

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from arctrack.control.frame_tracking import FrameStep
 from noise_model.arc.map import ArcMap, arc_kernel
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64
@@ -26,7 +27,7 @@ from tracker.arc.level import HUBER, MAP_SIGMA, MAX_SIGMA, MIN_BLACK_SIGMA_E, MI
 from tracker.arc.transmission import ArcLight, Transmission, seen_arc
 from tracker.geometry import MAP_FLOOR_E, MAP_TOLERANCE, SensorGeometry, dark_variance_at
 from tracker.observation import expected_output
-from tracker.state import NAN, Frame, Pose
+from tracker.state import NAN, Frame, Pose, Track
 
 STEP_MM = 0.5
 """Step of the derivative to either side."""
@@ -79,6 +80,20 @@ class ArcHeightEstimator:
 
     def __init__(self, geometry: SensorGeometry) -> None:
         self.geometry = geometry
+
+    def of_track(self, frame: Frame, pose: Pose, seam: SeamLine, track: Track) -> ArcHeight:
+        """Estimate the arc of a tracked frame about the `seam` of its reading.
+
+        NaN where the track knows no arc, and with the laser on no stripe to keep off.
+        """
+        stripe = track.stripe
+        if not math.isfinite(track.arc_level) or (frame.laser_on and stripe is None):
+            return NOT_KNOWN
+        # Where a line shows no stripe, none is near.
+        stripe_px = None if stripe is None else np.nan_to_num(stripe.position_px, nan=-1e9)
+        # 2 mm off the stripe no light is the laser's.
+        keep_off_px = self.geometry.reach_px(2.0)
+        return self.estimate(frame, pose, seam, stripe_px, keep_off_px, track.offset_sigma_z_mm)
 
     def estimate(
         self,
@@ -142,11 +157,29 @@ class ArcHeightEstimator:
             told = np.isfinite(columns_e).all(axis=1)
             moved = _fitted(geometry, columns_e[told], unlit.charge_e[told], places[told])
             height = replace(moved, height_mm=about_mm + moved.height_mm)
-            # No arc's centre stands farther off its place: the effect `arc_length` goes so far.
-            if not abs(moved.height_mm) > STEP_MM or not abs(height.height_mm) <= 8.0:
+            if not abs(moved.height_mm) > STEP_MM:
                 break
+            # No arc's centre stands farther off its place: the effect `arc_length` goes so far.
+            if not abs(height.height_mm) <= 8.0:
+                return NOT_KNOWN
             about_mm, map_e = height.height_mm, light_e(ArcDeparture(height_mm=height.height_mm))
-        return replace(height, height_sigma_mm=math.hypot(height.height_sigma_mm, surface_sigma_mm))
+        else:
+            # It has not settled.
+            return NOT_KNOWN
+        sigma_mm = math.hypot(height.height_sigma_mm, surface_sigma_mm)
+        height_mm = height.height_mm if math.isfinite(sigma_mm) else NAN
+        return replace(height, height_mm=height_mm, height_sigma_mm=sigma_mm)
+
+
+def above_surface_mm(
+    estimator: ArcHeightEstimator, track: Track, step: FrameStep | None
+) -> tuple[float, float]:
+    """Return the height of the arc's centre above the surface, mm, and its 1 sigma; NaN if not known."""
+    if step is None or step.reading is None or step.inputs.pose is None:
+        return NAN, NAN
+    height = estimator.of_track(step.frame, step.inputs.pose, step.reading.seam, track)
+    stated_mm = estimator.geometry.setup.arc.center_in_tool_mm[2]
+    return stated_mm + height.height_mm, height.height_sigma_mm
 
 
 def _fitted(geometry: SensorGeometry, columns: Float64, charge_e: Float64, places: Float64) -> ArcHeight:
@@ -185,13 +218,13 @@ def _fitted(geometry: SensorGeometry, columns: Float64, charge_e: Float64, place
         spread = np.maximum(1.0, size / HUBER)
         level = max(float(fitted[0]), 1e-3)
     covariance = covariance * max(1.0, chi2)
-    height_mm = float(fitted[1] / fitted[0]) if fitted[0] > 0.0 else math.nan
-    to_height = np.array([-height_mm, 1.0, 0.0, 0.0, 0.0, 0.0]) / level
-    height_sigma_mm = math.sqrt(float(to_height @ covariance @ to_height)) if fitted[0] > 0.0 else math.nan
-    # Largest sigma of a known height, mm: arcs are as long.
-    if not height_sigma_mm < 2.0:
-        height_mm = height_sigma_mm = math.nan
     level, level_sigma = float(fitted[0]), math.sqrt(float(covariance[0, 0]))
-    if not level_sigma < MAX_SIGMA * max(level, 1.0):
-        level = level_sigma = math.nan
+    if not (level > 0.0 and level_sigma < MAX_SIGMA * max(level, 1.0)):
+        return NOT_KNOWN
+    height_mm = float(fitted[1]) / level
+    to_height = np.array([-height_mm, 1.0, 0.0, 0.0, 0.0, 0.0]) / level
+    height_sigma_mm = math.sqrt(float(to_height @ covariance @ to_height))
+    # Largest sigma of a known height, mm: arcs are as long. An output is none without its height.
+    if not height_sigma_mm < 2.0:
+        return NOT_KNOWN
     return ArcHeight(level, level_sigma, height_mm, height_sigma_mm, chi2)

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arctrack.live.watch.arc_height import ArcHeight, ArcHeightEstimator
 from arctrack.nominal import nominal_setup
+from arctrack.replay.arc_height import ArcHeight, ArcHeightEstimator
 from arctrack.simulation.simulate import balance
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
 from noise_model.surface.joint import SeamLine
 from tracker.geometry import SensorGeometry
-from tracker.state import Frame, Pose
+from tracker.state import Frame, Pose, Track
 
 pytestmark = pytest.mark.slow
 
@@ -65,3 +65,21 @@ def test_an_arc_that_is_hidden_says_nothing() -> None:
     pose[:3, 3] = 60.0, 0.0, 1.0
     height = estimator.estimate(frame, Pose(pose), SeamLine(), None, 0.0, SURFACE_SIGMA_MM)
     assert np.isnan(height.height_mm)
+
+
+def test_a_track_that_knows_no_arc_or_no_stripe_tells_no_height() -> None:
+    setup = balance(nominal_setup("v_groove", "mild_steel", width=160, height=120))
+    estimator = ArcHeightEstimator(SensorGeometry.of(setup))
+    rng, pose = np.random.default_rng(1), np.eye(4)
+    pose[:3, 3] = 60.0, 0.0, 1.0
+    image = draw_frame(setup, pose, Condition(0.0, 1.0, setup.camera.exposure_s), rng)
+    frame = Frame(0, 0.0, image, setup.camera.exposure_s, laser_on=False)
+    known = Track(0, 0.0, 0, arc_level=1.0, offset_sigma_z_mm=0.2)
+    told = estimator.of_track(frame, Pose(pose), SeamLine(), known)
+    assert abs(told.height_mm) < 3.0 * told.height_sigma_mm < 2.0
+    for silent in (
+        estimator.of_track(frame, Pose(pose), SeamLine(), Track(0, 0.0, 0)),
+        estimator.of_track(replace(frame, laser_on=True), Pose(pose), SeamLine(), known),
+        estimator.of_track(frame, Pose(pose), SeamLine(), replace(known, offset_sigma_z_mm=np.nan)),
+    ):
+        assert np.isnan(silent.height_mm)
