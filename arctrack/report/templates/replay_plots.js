@@ -29,7 +29,9 @@ const minus = (text) => text.replace("-", "−");
 const known = (value) => value !== null && value !== undefined;
 const number = (value, digits) => (known(value) ? minus(value.toFixed(digits)) : "–");
 const signed = (value, digits) => (known(value) ? (value < 0 ? "" : "+") + number(value, digits) : "–");
-const raised = (n) => R.flags.filter((flag) => C.flags[n] & flag.mask).sort((a, b) => b.invalidates - a.invalidates);
+// JavaScript's own & knows 32 bits.
+const carries = (flags, flag) => Math.floor(flags / flag.mask) % 2 === 1;
+const raised = (n) => R.flags.filter((flag) => carries(C.flags[n], flag)).sort((a, b) => b.invalidates - a.invalidates);
 
 function path(points, x, y) {
   let text = "", down = false;
@@ -188,7 +190,7 @@ function drawChart(chart, node) {
 
 function drawStrip() {
   const node = byId("strip");
-  const rows = R.flags.filter((flag) => C.flags.some((mask) => mask & flag.mask));
+  const rows = R.flags.filter((flag) => C.flags.some((flags) => carries(flags, flag)));
   rows.sort((a, b) => b.invalidates - a.invalidates);
   const width = node.clientWidth, left = 172, right = width - 8, row = 19, top = 6, bottom = top + row * rows.length + 2;
   const height = bottom + 20;
@@ -204,7 +206,7 @@ function drawStrip() {
     const label = svg(node, "text", { x: left - 8, y: y + 14, "text-anchor": "end" }, (flag.invalidates ? "✕ " : "") + flag.name);
     svg(label, "title", {}, flag.meaning);
     svg(node, "line", { x1: left, x2: right, y1: y + row, y2: y + row, stroke: "#e6e6e6" });
-    for (const [first, last] of runs((n) => C.flags[n] & flag.mask)) {
+    for (const [first, last] of runs((n) => carries(C.flags[n], flag))) {
       const bar = svg(node, "rect", { x: x(begin(first)), y: y + 4, width: Math.max(2, x(end(last)) - x(begin(first))), height: row - 7, fill: flag.invalidates ? VERMILLION : BLUE });
       svg(bar, "title", {}, `${flag.name}: ${flag.meaning}`);
     }
