@@ -185,7 +185,7 @@ def triangulate(source: StripeSource, scene: Scene, lines: Float64, edge: EdgeAl
     Centres are corrected for their bias, and unsure by steps of brightness that cross them. `scene` should
     run along the seam as it is expected, for a section seen skewed is another section.
     """
-    measured = _triangulate(
+    measured: Points = _triangulate(
         lines=lines,
         edge=edge,
         lens=source.lens,
@@ -196,13 +196,7 @@ def triangulate(source: StripeSource, scene: Scene, lines: Float64, edge: EdgeAl
         T_joint_camera=scene.T_joint_camera,
         corrugation=scene.shape.corrugation,
     )
-    y_mm = measured.points[Y_MM]
-    if (y_mm[1:] >= y_mm[:-1]).all():
-        return measured
-    points = np.take(measured.points, np.argsort(y_mm, kind="stable"), axis=1)
-    # As `_spacing`, which no warm-up has compiled for Python: few frames show their points out of order.
-    pairs = 1.0 + points[SCAN, 1:] % 1.0 + points[SCAN, :-1] % 1.0
-    return measured._replace(points=points, column_mm=float(np.median(np.diff(points[Y_MM]) / pairs)))
+    return measured
 
 
 @kernel(allocates=True)
@@ -268,7 +262,7 @@ def _triangulate(
     T_joint_camera: Float64,
     corrugation: Float64,
 ) -> Points:
-    """Return the points of scan lines as they lie in the image, in order of y on the whole.
+    """Return the points of scan lines in order of y.
 
     The camera's ray d from o meets the sheet, there n.p + e = 0, in o + t d, t = -(n.o + e) / n.d. With a
     change of the ray by d' that point moves by t (d' - d (n.d') / (n.d)).
@@ -312,11 +306,10 @@ def _triangulate(
         points[BESIDE_PX, n] = math.hypot(beside_px, skewed_px[s])
         points[MISFIT_PX, n], points[N_LINES, n] = lines[MISFIT_PX, s], n_lines[s]
         n += 1
-    # In order of y if the image shows it from the other side.
-    flips, kept = n > 1 and points[Y_MM, 0] > points[Y_MM, n - 1], np.empty((N_ROWS, n))
+    order, kept = stable_order(points[Y_MM, :n]), np.empty((N_ROWS, n))
     for row in range(N_ROWS):
         for i in range(n):
-            kept[row, i] = points[row, n - 1 - i if flips else i]
+            kept[row, i] = points[row, order[i]]
     return Points(kept, _spacing(kept), crossed, clear_lines(psf_sigma_px, crossed.stated) - 1)
 
 
