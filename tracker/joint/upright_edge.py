@@ -95,6 +95,16 @@ def off_faces(lines: Float64, faces: Faces, i: int, off_px: float, bent_mm: floa
     return off_before, off_behind
 
 
+@kernel
+def limited_run(limit_mm: Float64, first: int, last: int) -> tuple[int, int]:
+    """Return the first and the last of the points (n,) with a limit that follow each other about two."""
+    while first > 0 and limit_mm[first - 1] > 0.0:
+        first -= 1
+    while last < limit_mm.shape[0] - 1 and limit_mm[last + 1] > 0.0:
+        last += 1
+    return first, last
+
+
 @kernel(allocates=True)
 def change_of(
     lines: Float64,
@@ -116,11 +126,7 @@ def change_of(
     the last ray before it meets that face (n,) and where the next one meets the other (n,): seen from the
     side, points themselves lie aside with their own scatter.
     """
-    first, last = before, behind
-    while first > 0 and limit_mm[first - 1] > 0.0:
-        first -= 1
-    while last < limit_mm.shape[0] - 1 and limit_mm[last + 1] > 0.0:
-        last += 1
+    first, last = limited_run(limit_mm, before, behind)
     n, farthest = last - first, OFF_SIGMAS * OFF_SIGMAS
     moved_px = background_off_px(light, lines[SCAN][first : last + 1], lines[SIGMA_PX][first : last + 1])
     costs, cost, min_cost = np.empty(n), 0.0, math.inf
@@ -256,11 +262,8 @@ def edge_by_columns(
     Points with a limit (n,) count; that at `before` lies on the face before. A point off both faces shows
     none.
     """
-    first, last, farthest = before, before, OFF_SIGMAS * OFF_SIGMAS
-    while first > 0 and limit_mm[first - 1] > 0.0:
-        first -= 1
-    while last < limit_mm.shape[0] - 1 and limit_mm[last + 1] > 0.0:
-        last += 1
+    first, last = limited_run(limit_mm, before, before)
+    farthest = OFF_SIGMAS * OFF_SIGMAS
     n = int(abs(lines[SCAN, last] - lines[SCAN, first])) + 1
     seen, off_before, off_behind = np.zeros(n, np.bool_), np.zeros(n), np.zeros(n)
     before_mm, behind_mm, begin, end = np.full(n, math.nan), np.full(n, math.nan), n, 0
