@@ -30,6 +30,7 @@ from tracker.state import N_LINES, SCAN
 from tracker.stripe.light import NO_LIGHT
 
 NOWHERE = np.full(3, math.nan)
+FULL_E = 20000.0
 
 
 def lines_about_a_gap(seed: int) -> tuple[Section, Profile, OnPlates, bool]:
@@ -128,17 +129,18 @@ def under_a_streak(seed: int, streak_dn: int) -> tuple[PlateLines, Section, tupl
     assert profile.image_dn is not None
     image_dn = profile.image_dn.astype(int)
     image_dn[STREAK] = np.minimum(image_dn[STREAK] + streak_dn, SATURATION_DN)
-    kept = (profile.scan < STREAK.start) | (profile.scan >= STREAK.stop)
+    section, on_plates, profile = unread_over(STREAK, replace(profile, image_dn=image_dn.astype(np.uint16)))
+    return plate_lines(section, on_plates, False, profile.image), section, at_mm
+
+
+def unread_over(lines: slice, profile: Profile) -> tuple[Section, OnPlates, Profile]:
+    """A profile of plates without what was read in some lines."""
+    kept = (profile.scan < lines.start) | (profile.scan >= lines.stop)
     names = ("y_mm", "z_mm", "dy_mm", "dz_mm", "sigma_px", "beside_px", "scan")
-    profile = replace(
-        profile,
-        image_dn=image_dn.astype(np.uint16),
-        **{name: getattr(profile, name)[kept] for name in names},
-    )
-    section = profile.seen_from(NOWHERE, NOWHERE)
+    profile = replace(profile, **{name: getattr(profile, name)[kept] for name in names})
     face = OnFace(profile.y_mm, np.zeros(len(profile.y_mm)))
     on_plates = OnPlates(np.ones(len(profile.y_mm), dtype=bool), face)
-    return plate_lines(section, on_plates, False, profile.image), section, at_mm
+    return profile.seen_from(NOWHERE, NOWHERE), on_plates, profile
 
 
 def test_a_plate_under_a_streak_holds_its_light_and_its_gap_ends_there() -> None:
@@ -158,6 +160,28 @@ def test_what_a_saturated_streak_covers_widens_the_end_beneath_it() -> None:
         assert abs(end.y_mm - last_mm) < 2.0 * math.sqrt(end.variance_mm2)
 
 
+@pytest.mark.parametrize("off_px", [9.0, 12.0])
+def test_glints_on_either_side_of_a_stripe_hide_where_its_plate_ends(off_px: float) -> None:
+    """Between them the light is no slope: a stripe over it would seem to be missing."""
+    for seed in range(10):
+        _, _, (_, last_mm), profile = a_clean_gap(seed, 12)
+        s, px = np.indices(profile.light.charge_e.shape)
+        begins = EDGE + 10.0 * last_mm
+        for side_px in (-off_px, off_px):
+            r_2 = (s - begins - 3.0) ** 2 + (px - 40.3 - side_px) ** 2
+            profile.light.charge_e[:] += 2e5 * np.exp(-0.5 * r_2 / 2.0**2)
+        np.minimum(profile.light.charge_e, FULL_E, out=profile.light.charge_e)
+        profile.light.censored[:] = profile.light.charge_e == FULL_E
+        image_dn = np.where(profile.light.censored, SATURATION_DN, profile.light.charge_e).astype(np.uint16)
+        hidden = slice(math.floor(begins), math.floor(begins) + 8)
+        profile.light.position_px[hidden] = math.nan
+        section, on_plates, profile = unread_over(hidden, replace(profile, image_dn=image_dn))
+        lines = plate_lines(section, on_plates, False, profile.image)
+        end = end_between(lines, section.light, 0.0, 2.5, False)
+        assert abs(end.y_mm - last_mm) < 2.0 * math.sqrt(end.variance_mm2)
+        assert math.isnan(end_by_shares(lines, section.light, end, False, 12).y_mm)
+
+
 @pytest.mark.parametrize(
     ("read", "share", "off", "says"),
     [
@@ -169,7 +193,8 @@ def test_what_a_saturated_streak_covers_widens_the_end_beneath_it() -> None:
         (UNREAD, 0.1, 0.1, UNREAD),
         (UNREAD, 0.1, 0.6, HIDDEN),
         (UNREAD, 0.9, 0.1, 1.0),
-        (-1.0, 0.1, 0.6, -1.0),
+        (-1.0, 0.1, 0.2, -1.0),
+        (-1.0, 0.1, 0.6, HIDDEN),
         (-1.0, 0.9, 0.1, HIDDEN),
     ],
 )

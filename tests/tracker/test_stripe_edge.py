@@ -33,6 +33,7 @@ from tracker.stripe.edge import (
     SIDE_SHARE,
     SPREAD,
     STEP,
+    LineShares,
     end_misfit,
     fit_end,
     stripe_end,
@@ -130,13 +131,27 @@ def test_a_stripe_that_is_not_seen_beyond_has_no_end() -> None:
 def test_saturated_pixels_do_not_count() -> None:
     rng = np.random.default_rng(2)
     light = light_of(rng, EDGE + 0.2, EDGE + 0.2, noise=False)
-    light.charge_e[EDGE, 40:48] = 9e4
-    light.censored[EDGE, 40:48] = True
+    light.censored[:] = light.charge_e > 0.8 * light.charge_e.max()
+    light.charge_e[light.censored] = 0.8 * light.charge_e.max()
     for found in stripe_ends(light, EDGE, EDGE + 1, 0.0):
         assert found.line == pytest.approx(EDGE + 0.2, abs=0.02)
     light.censored[EDGE] = True
     for found in stripe_ends(light, EDGE, EDGE + 1, 0.0):
         assert found.line == pytest.approx(EDGE + 0.2, abs=0.1)
+
+
+@pytest.mark.parametrize("off_px", [12.0, 14.0])
+@pytest.mark.parametrize("width_px", [1.5, 2.5])
+def test_lines_that_glints_outshine_tell_no_end(off_px: float, width_px: float) -> None:
+    light = light_of(np.random.default_rng(2), EDGE + 0.2, EDGE + 14.0)
+    s, px = np.indices(light.charge_e.shape)
+    for side_px in (-off_px, off_px):
+        r_2 = (s - EDGE + 3.0) ** 2 + (px - 40.0 - side_px) ** 2
+        light.charge_e[:] += 36000.0 * np.exp(-0.5 * r_2 / width_px**2)
+    np.minimum(light.charge_e, 6000.0, out=light.charge_e)
+    light.censored[:] = light.charge_e == 6000.0
+    light.position_px[EDGE - 7 : EDGE + 14] = np.nan
+    assert np.isnan(stripe_end(light, EDGE - 8, 1, 21)).all()
 
 
 @settings(deadline=None, max_examples=30)
@@ -145,12 +160,14 @@ def test_shares_are_their_twin(seed: int, n: int, back: bool) -> None:
     rng = np.random.default_rng(seed)
     light = light_of(rng, EDGE + rng.uniform(-1.0, 1.0), EDGE + rng.uniform(0.0, 2.0))
     light.censored[rng.uniform(size=light.censored.shape) < 0.01] = True
+    # The stripe's own: another light's would hide its line.
+    light.charge_e[light.censored] = 0.0
     light.background_e[:] += rng.normal(0.0, rng.choice([0.0, 300.0]), light.background_e.shape)
     away = -1 if back else 1
     last = EDGE - away * 4
     first = last + away * (n + 1)
     shares, variances = np.empty((2, 2, n))
-    assert line_shares(light, last, first, away, BEYOND, shares, variances, line_room(DEPTH))
+    assert line_shares(light, last, first, away, BEYOND, 4, shares, variances, line_room(DEPTH))
 
     residual = light.charge_e.astype(np.float64) - light.background_e
     residual[light.censored] = np.nan
@@ -289,15 +306,16 @@ def test_an_end_is_its_twin(
         off = share - mean
         return float(off @ np.linalg.solve(covariance, off)), float(np.linalg.slogdet(covariance)[1])
 
+    read = LineShares(share, variance, contrast, correlation, seen_lines, sigma)
     for at in (true, true + 0.8):
-        fit = end_misfit(share, variance, contrast, correlation, seen_lines, sigma, at)
+        fit = end_misfit(read, at)
         assert fit.misfit == pytest.approx(misfit(at), rel=1e-6)
     places = np.arange(1.0, 7.0, 0.01)
     misfits = np.array([misfit(at) for at in places])
     weights = np.exp(-0.5 * (misfits - misfits.min()))
     mean = weights @ places / weights.sum()
     deviation = math.sqrt(weights @ (places - mean) ** 2 / weights.sum())
-    end, end_sigma = fit_end(share, variance, contrast, correlation, seen_lines, sigma, 1.0, 7.0)
+    end, end_sigma = fit_end(read, 1.0, 7.0)
     assert end == pytest.approx(mean, abs=0.5 * STEP)
     excess = max(parts(end)[0] / 7.0 - math.sqrt(2.0 / 7.0), 1.0)
     assert end_sigma == pytest.approx(math.hypot(math.sqrt(excess) * deviation, MIN_SIGMA), rel=0.2)

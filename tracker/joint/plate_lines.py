@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from noise_model.arc.map import CELL
 from noise_model.compiled.arrays import Bool, Float64, Integers
 from noise_model.compiled.kernel import kernel
 from noise_model.compiled.median import exact_median
@@ -18,7 +19,7 @@ from tracker.joint.measured import OFF_SIGMAS, OnFace
 from tracker.profile import Section
 from tracker.state import N_LINES, SCAN
 from tracker.stripe.edge import MIN_CONTRAST, clear_of_an_edge, stripe_end
-from tracker.stripe.light import WINDOW_SIGMAS, StripeLight
+from tracker.stripe.light import OUTSHINES, WINDOW_SIGMAS, StripeLight
 
 OUTSIDE_MM = 1.0
 """Width beyond an edge joint that is used to place it."""
@@ -46,6 +47,9 @@ SHARE_SIGMAS = 2.0
 
 BRIGHT_SIGMAS = 4.0
 """By so many of their scatter a line may be brighter than most of a plate's: beyond, it is another light."""
+
+MERGED_SIGMAS = 2.0
+"""Two stripes have one peak if they lie no more of their sigmas apart: which is lit how much is in doubt."""
 
 CODE_VARIANCE = 1.0 / 12.0
 """Variance of a code's rounding, DN^2."""
@@ -198,6 +202,7 @@ def weigh_by_light(lines: PlateLines, light: StripeLight, image: StripeImage) ->
 
     A streak or a glint beside the stripe keeps a line from being read, and one on a gap is read as a plate.
     So a plate has lost its light only where that is missing, and shows it only where there is about as much.
+    Light adds: beside saturated pixels a plate's stripe may lie beneath as much light of another.
     """
     plates = stripe_on_plates(lines, light)
     n = lines.sees.shape[0]
@@ -205,24 +210,62 @@ def weigh_by_light(lines: PlateLines, light: StripeLight, image: StripeImage) ->
         return
     width_px = usual_width(plates.width_px)
     share, off, of_plates, n_known = np.empty(n), np.empty(n), np.empty(n), 0
+    excess, of_lit = np.empty(n), np.empty(n)
     for line in range(n):
         scan = lines.away * (lines.first_scan + line)
-        path_px, other_dn = interpolated(float(line), plates.lines, plates.position_px), 0.0
-        other_px = light.position_px[scan] if lines.sees[line] == -1.0 else path_px
-        # What was read nearer is the plates' own stripe.
-        if abs(other_px - path_px) > width_px:
-            other_dn, _ = stripe_dn(image, scan, other_px, width_px, 0.0, 0.0)
-        share[line], off[line] = stripe_dn(image, scan, path_px, width_px, other_px, other_dn)
+        path_px, other_px = interpolated(float(line), plates.lines, plates.position_px), math.nan
+        if lines.sees[line] == -1.0 and light.position_px[scan] != path_px:
+            other_px = light.position_px[scan]
+        share[line], off[line] = stripe_dn(image, scan, path_px, width_px, other_px)
+        if abs(other_px - path_px) > MERGED_SIGMAS * width_px:
+            off[line] = 0.0
+        excess[line] = excess_e(light, scan, path_px)
         if lines.sees[line] > 0.0 and not math.isnan(share[line]):
-            of_plates[n_known] = share[line]
+            of_plates[n_known], of_lit[n_known] = share[line], excess[line]
             n_known += 1
+    usual_e = exact_median(of_lit[:n_known]) if n_known > 0 else math.nan
     usual = exact_median(of_plates[:n_known]) if n_known > 0 else math.nan
     scatter = exact_median(np.abs(of_plates[:n_known] / usual - 1.0)) if n_known > 0 else math.nan
     max_share = 1.0 + BRIGHT_SIGMAS * max(MAD_SIGMA * scatter, MIN_CONTRAST)
+    outshone, reach = np.zeros(n, np.bool_), clear_of_an_edge(light)
+    for line in range(n):
+        path_px = interpolated(float(line), plates.lines, plates.position_px)
+        if is_outshone(light, lines.away * (lines.first_scan + line), path_px, width_px, usual_e):
+            outshone[max(line - reach, 0) : line + reach + 1] = True
     for line in range(n):
         lines.sees[line] = vote(
             lines.sees[line], share[line] / usual, SHARE_SIGMAS * off[line] / usual, max_share
         )
+        if lines.sees[line] < 0.0 and outshone[line] and excess[line] > THROWN_SHARE * usual_e:
+            lines.sees[line] = HIDDEN
+
+
+@kernel
+def excess_e(light: StripeLight, scan: int, path_px: float) -> float:
+    """Return the light over the background at a place of a scan line, e-, the mean of three pixels."""
+    i = round(path_px) - light.lows[scan // CELL]
+    if not 1 <= i < light.charge_e.shape[1] - 1:
+        return math.nan
+    total = 0.0
+    for j in range(i - 1, i + 2):
+        total += light.charge_e[scan, j] - light.background_e[scan, j]
+    return total / 3.0
+
+
+@kernel
+def is_outshone(light: StripeLight, scan: int, path_px: float, width_px: float, usual_e: float) -> bool:
+    """Return True if a pixel is saturated that a stripe there, of so much light, would not light half."""
+    low, half = light.lows[scan // CELL], WINDOW_SIGMAS * width_px
+    begin = max(math.floor(path_px - half) - low, 0)
+    for j in range(begin, min(math.ceil(path_px + half) - low + 1, light.charge_e.shape[1])):
+        t = (j + low - path_px) / width_px
+        own_e = usual_e * math.exp(-0.5 * t * t)
+        if (
+            light.censored[scan, j]
+            and light.charge_e[scan, j] - light.background_e[scan, j] > OUTSHINES * own_e
+        ):
+            return True
+    return False
 
 
 @kernel
@@ -239,24 +282,26 @@ def vote(read: float, share: float, off: float, max_share: float) -> float:
         if share - off > HELD_SHARE:
             return 1.0
         return UNREAD if share + off < HELD_SHARE else HIDDEN
-    return read if share < HELD_SHARE else HIDDEN
+    return read if share + off < HELD_SHARE else HIDDEN
 
 
 @kernel
 def stripe_dn(
-    image: StripeImage, scan: int, path_px: float, width_px: float, other_px: float, other_dn: float
+    image: StripeImage, scan: int, path_px: float, width_px: float, other_px: float
 ) -> tuple[float, float]:
     """Return the peak of a stripe of a width at a place of a scan line, and its 1 sigma, DN.
 
-    They are of the least-squares bell over a sloping level, the sigma by what that leaves, without another
-    stripe of a known peak. NaN outside the image, and where half of the pixels are saturated.
+    They are of the least-squares bell over a sloping level, the sigma by what that leaves, beside the bell of
+    another stripe, unless its place is NaN. NaN outside the image, and where half of the pixels are
+    saturated.
     """
     n_scan, n_pos = image.image_dn.shape[1], image.image_dn.shape[0]
     if not image.along_rows:
         n_scan, n_pos = n_pos, n_scan
     half, middle = math.ceil(WINDOW_SIGMAS * width_px) + 1, round(path_px)
+    has_other = not math.isnan(other_px)
     n, t_1, t_2, g_0, g_1, g_2 = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-    v_0, v_1, v_g, v_2 = 0.0, 0.0, 0.0, 0.0
+    h_0, h_1, h_2, g_h, v_0, v_1, v_g, v_h, v_2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     first, end = max(middle - half, 0), min(middle + half + 1, n_pos) if 0 <= scan < n_scan else 0
     # A bell's ratio from pixel to pixel goes by a constant ratio.
     inverse, t = 1.0 / width_px**2, first - path_px
@@ -267,8 +312,6 @@ def stripe_dn(
         v = float(image.image_dn[p, scan] if image.along_rows else image.image_dn[scan, p])
         if v >= image.saturation_dn:
             continue
-        if other_dn != 0.0:
-            v -= other_dn * math.exp(-0.5 * ((p - other_px) / width_px) ** 2)
         t = p - path_px
         n += 1
         t_1 += t
@@ -280,17 +323,33 @@ def stripe_dn(
         v_1 += v * t
         v_g += v * g
         v_2 += v * v
+        if has_other:
+            h = math.exp(-0.5 * (p - other_px) ** 2 * inverse)
+            h_0 += h
+            h_1 += h * t
+            h_2 += h * h
+            g_h += g * h
+            v_h += v * h
     spread = t_2 - t_1 * t_1 / max(n, 1)
     if n <= half or not spread > 0.0:
         return math.nan, math.nan
-    # Level and slope are solved for first, the peak with what they leave.
+    # Level and slope are solved for first, the peaks with what they leave.
     tilt, rise = (g_1 - g_0 * t_1 / n) / spread, (v_1 - v_0 * t_1 / n) / spread
     own = g_2 - g_0 * g_0 / n - tilt * tilt * spread
+    common = v_g - v_0 * g_0 / n - tilt * rise * spread
+    residual_2, free = v_2 - v_0 * v_0 / n - rise * rise * spread, n - 3.0
+    if has_other:
+        other_tilt = (h_1 - h_0 * t_1 / n) / spread
+        others = h_2 - h_0 * h_0 / n - other_tilt * other_tilt * spread
+        if others > 0.0:
+            both = g_h - g_0 * h_0 / n - tilt * other_tilt * spread
+            of_other = v_h - v_0 * h_0 / n - other_tilt * rise * spread
+            own, common = own - both * both / others, common - both * of_other / others
+            residual_2, free = residual_2 - of_other * of_other / others, n - 4.0
     if not own > 0.0:
         return math.nan, math.nan
-    common = v_g - v_0 * g_0 / n - tilt * rise * spread
-    residual_2 = v_2 - v_0 * v_0 / n - rise * rise * spread - common * common / own
-    return common / own, math.sqrt(max(residual_2 / (n - 3.0), CODE_VARIANCE) / own)
+    residual_2 -= common * common / own
+    return common / own, math.sqrt(max(residual_2 / free, CODE_VARIANCE) / own)
 
 
 @kernel

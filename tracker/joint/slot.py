@@ -174,11 +174,15 @@ def gap_about(lines: PlateLines, light: StripeLight, stated: StatedJoint, y_0: f
     if others_between(lines, right.line, left.line) >= MIN_LINES:
         gap_lines = left.line - right.line - 1
         # A blurred end seems off to its own side: where one is not resolved, in the middle of both that
-        # cancels.
+        # cancels. Of one that another light hides it is the lesser part.
         right_refined = end_by_shares(lines, light, right, True, gap_lines)
         left_refined = end_by_shares(lines, light, left, False, gap_lines)
-        if not (math.isnan(right_refined.y_mm) or math.isnan(left_refined.y_mm)):
-            right, left = right_refined, left_refined
+        blurred_mm2 = (blurred_lines(light) * lines.column_mm) ** 2 / 12.0
+        right_lies = not math.isnan(right_refined.y_mm) or right.variance_mm2 > blurred_mm2
+        left_lies = not math.isnan(left_refined.y_mm) or left.variance_mm2 > blurred_mm2
+        if right_lies and left_lies:
+            right = right if math.isnan(right_refined.y_mm) else right_refined
+            left = left if math.isnan(left_refined.y_mm) else left_refined
         width = left.y_mm - right.y_mm
         variance = left.variance_mm2 + right.variance_mm2
         width_variance = variance

@@ -111,6 +111,7 @@ def stripe_ends(light: StripeLight, last: int, first: int, seen_lines: float) ->
         first=first + away * clear,
         away=away,
         max_lines=BEYOND,
+        reach=clear,
         shares=shares,
         variances=variances,
         room=room,
@@ -159,6 +160,7 @@ def stripe_end(light: StripeLight, last: int, away: int, gap_lines: int, unread:
         first=first,
         away=away,
         max_lines=deep,
+        reach=clear,
         shares=shares,
         variances=variances,
         room=room,
@@ -222,10 +224,24 @@ def _fitted(
     contrast = max(light.contrast, MIN_CONTRAST)
     sigma = max(math.hypot(light.psf_sigma_px, light.edge.stated / math.sqrt(2.0)), LINE_SIGMA)
     first, last = max(earliest - sigma, 0.0), latest + sigma
-    line, line_sigma = fit_end(
-        shares, variances, contrast, light.correlation, seen_lines, sigma=sigma, earliest=first, latest=last
-    )
+    read = LineShares(shares, variances, contrast, light.correlation, seen_lines, sigma)
+    line, line_sigma = fit_end(read, first, last)
     return StripeEnd(line, line_sigma)
+
+
+class LineShares(NamedTuple):
+    """Shares (n,) of a stripe that lines hold about its end, and their variances (n,).
+
+    The stripe's brightness scatters by a relative `contrast`, with a `correlation` from line to line. Over
+    `seen_lines` the camera sees the upright side; the end is blurred by `sigma` lines.
+    """
+
+    share: Float64
+    variance: Float64
+    contrast: float
+    correlation: float
+    seen_lines: float
+    sigma: float
 
 
 class EndMisfit(NamedTuple):
@@ -237,16 +253,8 @@ class EndMisfit(NamedTuple):
 
 
 @kernel
-def end_misfit(
-    share: Float64,
-    variance: Float64,
-    contrast: float,
-    correlation: float,
-    seen_lines: float,
-    sigma: float,
-    end: float,
-) -> EndMisfit:
-    """Return how unlike shares (n,) are those of a stripe that ends at a place.
+def end_misfit(read: LineShares, end: float) -> EndMisfit:
+    """Return how unlike the shares are those of a stripe that ends at a place.
 
     With the shares' means m a line holds m (1 + a + n) + h g and its own error, of variance V. All lines
     share a: whole lines are known as well as the mean of BEYOND of them is. n scatters by the contrast, with
@@ -254,7 +262,8 @@ def end_misfit(
     SIDE_SHARE of 1 - m and, where the side covers the line, SEEN_SIDE_SHARE of that. V goes with the place,
     so ln V counts.
     """
-    scatter = contrast * contrast
+    share, correlation, seen_lines, sigma = read.share, read.correlation, read.seen_lines, read.sigma
+    scatter = read.contrast * read.contrast
     of_mean = scatter * min((1.0 + correlation) / (1.0 - correlation) / BEYOND, 1.0)
     spread_2 = MIN_STRIPE_SHARE**2 + SPREAD**2 * scatter
     whole, line, side = 0.0, 0.0, 0.0
@@ -280,7 +289,7 @@ def end_misfit(
         of_whole = mean * (P_ww + P_wl) + shine * P_ws
         of_line = mean * (P_wl + P_ll) + shine * P_ls
         of_side = mean * (P_ws + P_ls) + shine * P_ss
-        total = mean * (of_whole + of_line) + shine * of_side + variance[i] + spread_2
+        total = mean * (of_whole + of_line) + shine * of_side + read.variance[i] + spread_2
         off = share[i] - mean * (1.0 + whole + line) - shine * side
         chi2 += off * off / total
         determinant += math.log(total)
@@ -298,17 +307,8 @@ def end_misfit(
 
 
 @kernel(allocates=True)
-def fit_end(
-    share: Float64,
-    variance: Float64,
-    contrast: float,
-    correlation: float,
-    seen_lines: float,
-    sigma: float,
-    earliest: float,
-    latest: float,
-) -> tuple[float, float]:
-    """Return the place at which shares (n,) fall from 1 to 0, lines from the first, and its 1 sigma.
+def fit_end(read: LineShares, earliest: float, latest: float) -> tuple[float, float]:
+    """Return the place at which shares fall from 1 to 0, lines from the first, and its 1 sigma.
 
     It is the mean and the deviation of the posterior, each place between `earliest` and `latest` as likely
     before. NaN where fewer than MIN_LINES tell it, where they tell little beyond these bounds, and where they
@@ -319,7 +319,7 @@ def fit_end(
     misfits = np.empty(n_places)
     for k in range(n_places):
         place = earliest + (k - 1) * SEARCH_STEP
-        fit = end_misfit(share, variance, contrast, correlation, seen_lines, sigma, place)
+        fit = end_misfit(read, place)
         misfits[k] = fit.misfit
         if fit.lines >= MIN_LINES and fit.misfit < min_misfit:
             best, min_misfit = place, fit.misfit
@@ -333,7 +333,7 @@ def fit_end(
             before = min(int((best + off - earliest) / SEARCH_STEP) + 1, n_places - 2)
             if min(misfits[before], misfits[before + 1]) > min_misfit + MAX_EXCESS:
                 continue
-            fit = end_misfit(share, variance, contrast, correlation, seen_lines, sigma, best + off)
+            fit = end_misfit(read, best + off)
             weight = math.exp(-0.5 * (fit.misfit - min_misfit))
             total += weight
             first += weight * off
@@ -342,7 +342,7 @@ def fit_end(
     posterior = max(second / total - mean * mean, 0.0)
     if posterior > MAX_VARIANCE_SHARE * (latest - earliest) ** 2 / 12.0:
         return math.nan, math.nan
-    fit = end_misfit(share, variance, contrast, correlation, seen_lines, sigma, best + mean)
+    fit = end_misfit(read, best + mean)
     freedom = fit.lines - 2.0
     # Only what chi2 shows beyond its own scatter widens the sigma.
     excess = max(fit.chi2 / freedom - math.sqrt(2.0 / freedom), 1.0)

@@ -27,6 +27,9 @@ WINDOW_SIGMAS = 3.0
 
 MIN_PIXELS = 8
 
+OUTSHINES = 2.0
+"""A saturated pixel so many times as bright as the stripes there is another light's: its halo is no level."""
+
 NEXT_TO_NOTHING = 0.1
 """Share of a sigma below which an error adds half a percent to it."""
 
@@ -306,13 +309,14 @@ def write_mean_stripe(
         mean_e[j] = mean_e[j] / n_lines[j] if n_lines[j] >= MIN_BEYOND else math.nan
 
 
-@kernel
+@kernel(allocates=True)
 def line_shares(
     light: StripeLight,
     last: int,
     first: int,
     away: int,
     max_lines: int,
+    reach: int,
     shares: Float64,
     variances: Float64,
     room: LineRoom,
@@ -321,7 +325,8 @@ def line_shares(
 
     `away` is the step, 1 or -1, from `last`, where the first stripe is clear, to `first`, where the other is;
     that is read from `max_lines` lines at most. False if the first is not seen. A line that cannot be read
-    has a NaN, and so has the other stripe everywhere if it is not seen.
+    has a NaN, so have those within `reach` of one that another light outshines, and so has the other stripe
+    everywhere if it is not seen.
     """
     at_last, slope_last = run_of(light.position_px, last, -away, BEYOND)
     at_first, slope_first = run_of(light.position_px, first, away, max_lines)
@@ -332,6 +337,7 @@ def line_shares(
             width = max(width, light.width_px[s])
     if math.isnan(at_last) or width == 0.0:
         return False
+    outshone = np.zeros(shares.shape[1], np.bool_)
     for i in range(shares.shape[1]):
         s = last + away * (i + 1)
         shares[:, i], variances[:, i] = math.nan, math.nan
@@ -354,9 +360,12 @@ def line_shares(
         w_d, w_ud, w_vd = 0.0, 0.0, 0.0
         for j in range(begin, end):
             u, v, d = room.u_e[j], room.v_e[j], room.change_e[j]
-            if light.censored[s, j] or math.isnan(u) or math.isnan(v):
+            if math.isnan(u) or math.isnan(v):
                 continue
             c = light.charge_e[s, j] - light.background_e[s, j]
+            if light.censored[s, j]:
+                outshone[i] = outshone[i] or c > OUTSHINES * max(u, v, 0.0)
+                continue
             lit = max(light.background_e[s, j], 0.0) + max(u, v, 0.0)
             weight = 1.0 / (light.shot * lit + light.dark_variance_e2)
             n += 1
@@ -391,4 +400,7 @@ def line_shares(
             d_u, d_v = w_ud - w_u * w_d / w_, w_vd - w_v * w_d / w_
             variances[0, i] = chi2 * H_vv / area + ((d_u * H_vv - d_v * H_uv) / area) ** 2
             variances[1, i] = chi2 * H_uu / area + ((d_v * H_uu - d_u * H_uv) / area) ** 2
+    for i in range(shares.shape[1]):
+        if outshone[i]:
+            shares[:, max(i - reach, 0) : i + reach + 1] = math.nan
     return True
