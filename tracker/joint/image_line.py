@@ -103,6 +103,7 @@ class _Course:
 class _Sums:
     """The whitened columns (m, n_scan) at `offsets_px` (m,) from the stripe, summed along the seam's course.
 
+    `read` are these columns, or their dark pixels alone.
     `along` (k, n_scan) are the sums over lines that meet the stripe in each scan line with the slopes (k,),
     scan lines a pixel, and leave that direction by `bends` (m,), over the root of how many columns they are
     of. `energy` (k, n_scan) is the two filters' chi^2, 0 where too few columns tell it; the filters' 1 sigma
@@ -110,6 +111,7 @@ class _Sums:
     """
 
     white: Float64
+    read: Float64
     offsets_px: Float64
     slopes: Float64
     bends: Float64
@@ -155,21 +157,23 @@ def read_image_line(
     average_columns(image_dn, path, guard_px, averaged, columns, offsets_px)
     white = np.empty_like(columns)
     # Half the running median's length, over the line's 1 sigma.
-    # Spatter's streaks point away from the arc as the seam does, and only add light.
-    whiten(columns, math.ceil(5.0 * width), 0.0 if arc_burns else CLIP_SIGMAS, white)
+    whiten(columns, math.ceil(5.0 * width), white)
     n_slopes = 2 + math.ceil(abs(expected.last - expected.first) * reach_px / width)
     slopes = np.linspace(expected.first, expected.last, n_slopes)
     bends = np.interp(offsets_px, expected.offsets_px, expected.bends, left=np.nan, right=np.nan)
     white[np.isnan(bends)] = np.nan
     bends = np.nan_to_num(bends)
+    # Spatter's streaks point away from the arc as the seam does, and only add light.
+    read = np.minimum(white, 0.0) if arc_burns else white
     along, counts = np.empty((2, n_slopes, len(path)))
-    sum_along(white, offsets_px, slopes, bends, along, counts)
+    sum_along(read, offsets_px, slopes, bends, along, counts)
     # A line that leaves the image within more of its columns is not summed.
     energy = _energy(along, counts >= 0.5 * len(offsets_px), width, arc_burns)
     return _place(
         section,
         _Sums(
             white=white,
+            read=read,
             offsets_px=offsets_px,
             slopes=slopes,
             bends=bends,
@@ -249,11 +253,11 @@ def average_columns(
 
 
 @kernel(allocates=True)
-def whiten(columns: Float64, half: int, max_bright: float, white: Float64) -> None:
+def whiten(columns: Float64, half: int, white: Float64) -> None:
     """Write columns (m, n) less their running medians over 2 `half` + 1 lines, in their robust sigmas.
 
-    What is brighter than `max_bright` sigmas counts as these. NaN where the column is, or the median's window
-    leaves it.
+    No pixel counts as farther off than CLIP_SIGMAS. NaN where the column is, or the median's window leaves
+    it.
     """
     n = columns.shape[1]
     sizes = np.empty(n)
@@ -270,7 +274,7 @@ def whiten(columns: Float64, half: int, max_bright: float, white: Float64) -> No
             continue
         sigma = max(MAD_SIGMA * exact_median(sizes[:count]), CODE_SIGMA_DN)
         for s in range(n):
-            white[j, s] = min(max(white[j, s] / sigma, -CLIP_SIGMAS), max_bright)
+            white[j, s] = min(max(white[j, s] / sigma, -CLIP_SIGMAS), CLIP_SIGMAS)
 
 
 @kernel
@@ -352,14 +356,20 @@ def _place(section: Section, sums: _Sums) -> ImageLine | None:
 
 
 def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
-    """Return in which scan line a line meets the stripe, and its 1 sigma; None if too few pieces show it."""
+    """Return in which scan line a line meets the stripe, and its 1 sigma; None if too few pieces show it.
+
+    A dark line beside a bright one may be no more than that one's flank.
+    """
     half = math.ceil(4.0 * sums.width)
     n = sums.along.shape[1]
     if line < 2 * half or line + 2 * half >= n:
         return None
     section = sums.along[slope, line - half : line + half + 1]
-    x = np.arange(-half, half + 1)
-    middle, own_variance = _middle(section[np.abs(x) <= 2.0 * sums.width])
+    x = np.arange(-math.floor(2.0 * sums.width), math.floor(2.0 * sums.width) + 1)
+    lines = np.arange(n)
+    away = sums.slopes[slope] * sums.offsets_px + sums.bends
+    shown = [np.interp(line + off + x, lines, white) for off, white in zip(away, sums.white, strict=True)]
+    middle, own_variance = _middle(np.nansum(shown, axis=0) / math.sqrt(len(shown)))
     fitted = [
         piece
         for columns in np.array_split(np.arange(len(sums.offsets_px)), N_PIECES)
@@ -415,10 +425,10 @@ def _piece(
     """
     half = len(section) // 2
     x = np.arange(-2 * half, 2 * half + 1)
-    lines = np.arange(sums.white.shape[1])
+    lines = np.arange(sums.read.shape[1])
     light, away = np.zeros(len(x)), sums.slopes[slope] * sums.offsets_px + sums.bends
     for j in columns:
-        light += np.interp(line + away[j] + x, lines, sums.white[j])
+        light += np.interp(line + away[j] + x, lines, sums.read[j])
     light /= math.sqrt(len(columns))
     expected = section * math.sqrt(len(columns) / len(sums.offsets_px))
     fit = np.correlate(light, expected, "valid")
