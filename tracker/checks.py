@@ -241,7 +241,7 @@ NEAR_NOMINAL = Question(
 )
 SEAM_CONFIRMED = Question(
     "seam_confirmed",
-    "a new gap under a burning arc is shown beyond doubt, or by two frames",
+    "a new gap, or a line under a burning arc, is shown beyond doubt or by two frames",
     "yes",
     flags.JOINT_NOT_FOUND,
 )

@@ -193,6 +193,9 @@ class Finder:
         T_look = invert(T_part) @ pose.T_base_tool
         looked = Pose(T_look, pose.extrapolated)
         state, track, reading = step(self.geometry, TrackerMemory(), frame, looked, self._work)
+        if not track.valid and state.beyond.n > 0:
+            # A new gap in doubt waits for a second frame: here that is the find's other frames.
+            state, track, reading = step(self.geometry, state, frame, looked, self._work)
         if not track.valid or reading is None or reading.joint is None:
             return None, track
         source, covariance_mm2 = self.geometry.seam_source, reading.joint.covariance_mm2

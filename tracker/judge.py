@@ -28,10 +28,11 @@ The rim of a tack shows a joint for some frames, or now and then: a seam shows i
 """
 
 SURE_NATS = math.log(1e5)
-"""Evidence, nats, at which one frame under a burning arc shows a new gap: chance reaches it in one of 1e5.
+"""Evidence, nats, at which one frame shows a new gap: chance reaches it in one of 1e5.
 
 With less its seam waits for a second frame: a dark spot of the metal is elsewhere in that. So it does where a
-line off the stripe shows it, for between two streaks there is one, and chance has no part in these.
+line off the stripe shows it under a burning arc, for between two streaks there is one, and chance has no part
+in these.
 """
 
 
@@ -70,7 +71,7 @@ def judge(
     by_line = bool(frame_checks.flags & flags.SEAM_BY_LINE.mask)
     by_gap = given.geometry.setup.joint.type in SLOTS and joint.evidence_nats < SURE_NATS
     burns = given.arc_burns or bool(reading.evidence.burns)
-    is_doubtful = burns and (by_line or by_gap)
+    is_doubtful = by_gap or (burns and by_line)
     state = remember(frame_checks, source, state, located.station_mm, off_mm, variance_mm2, is_doubtful)
     if state.history.n == 0:
         return state, None

@@ -16,6 +16,8 @@ from noise_model.surface.joint import SeamLine
 from noise_model.transforms import invert, transform
 from tracker import checks, flags
 from tracker.checks import FrameChecks
+from tracker.find import Finder
+from tracker.geometry import SensorGeometry
 from tracker.pipeline import JOINT_CHI2_LIMIT, as_stated
 from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
@@ -133,7 +135,7 @@ def test_a_root_too_narrow_to_be_told_from_a_closed_one_says_so(name: str, gap_m
 
 
 def shown_twice(setup: Setup, frame: Frame, pose: Pose) -> Track:
-    """The second track of a frame: one alone shows no such gap beyond doubt while an arc burns."""
+    """The second track of a frame: one alone shows no such gap beyond doubt."""
     tracker = Tracker(setup)
     if setup.joint.type == "butt":
         assert tracker.step(frame, pose).flags & flags.JOINT_NOT_FOUND.mask
@@ -155,6 +157,22 @@ def test_a_narrow_gap_is_as_sure_as_its_blurred_ends_are(name: str, gap_mm: floa
         y = track.seam_tool_mm[1] - true_seam_tool(setup, pose, seam)[1]
         pulls.append((y / track.sigma_y_mm, (track.gap_mm - gap_mm) / track.shape.gap_sigma_mm))
     assert (np.mean(np.square(pulls), axis=0) < 2.0).all(), pulls
+
+
+def test_a_gap_that_chance_shows_at_times_is_a_seam_once_two_frames_show_it() -> None:
+    setup = small_setup("butt")
+    setup = replace(setup, joint=replace(setup.joint, dimensions={**setup.joint.dimensions, "gap_mm": 0.5}))
+    tracker, finder = Tracker(setup), Finder(SensorGeometry.of(setup))
+    frames = [
+        (frame_of(setup, pose, SeamLine(0.0, 0.5, 0.1), index=n, arc=0.0), pose)
+        for n, pose in enumerate((pose_at(0.0), pose_at(1.0)))
+    ]
+    first, second = (tracker.step(*given) for given in frames)
+    assert first.flags & flags.JOINT_NOT_FOUND.mask
+    assert second.valid, second.flag_names
+    # A find has frames of its own, which confirm each other.
+    section, _ = finder.section(*frames[0])
+    assert section is not None
 
 
 def narrow_butt() -> Setup:
