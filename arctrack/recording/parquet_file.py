@@ -24,6 +24,7 @@ TEXTS = (
     "run_gate_reason",
     "run_pose_doubt",
     "weld_refusal",
+    "arc_height_unknown",
 )
 NO_FLOATS = {"frame": "int64", "valid": "bool", **dict.fromkeys(TEXTS, "string")}
 """The columns of results.csv that are not float64, and Arrow's names for their types."""

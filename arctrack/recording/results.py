@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -71,6 +71,7 @@ COLUMNS = (
     "arc_level_sigma",
     "arc_height_mm",
     "arc_height_sigma_mm",
+    "arc_height_unknown",
     "pose_doubt",
     "validity",
     "gate_reason",
@@ -85,6 +86,17 @@ COLUMNS = (
     "weld_refusal",
 )
 """The format's own columns, then arctrack's."""
+
+
+class ArcAboveSurface(NamedTuple):
+    """Height of the arc's centre above the surface, mm, and its 1 sigma; NaN where `unknown` says why."""
+
+    height_mm: float = NAN
+    sigma_mm: float = NAN
+    unknown: str = ""
+
+
+NO_ARC_HEIGHT = ArcAboveSurface(unknown="not_estimated")
 
 
 class ResultsWriter:
@@ -106,12 +118,9 @@ class ResultsWriter:
         outcome: OffsetOutcome,
         compute_ms: float = NAN,
         run: OffsetOutcome | None = None,
-        arc_height_mm: tuple[float, float] = (NAN, NAN),
+        arc: ArcAboveSurface = NO_ARC_HEIGHT,
     ) -> None:
-        """Append a frame's row: track, its offset on the bus, and in a replay what the run had sent.
-
-        `arc_height_mm` is the height of the arc's centre above the surface, mm, and its 1 sigma.
-        """
+        """Append a frame's row: track, its offset on the bus, and in a replay what the run had sent."""
         run = run or NO_OUTCOME
         lengths_mm = (
             *track.seam_tool_mm,
@@ -135,7 +144,8 @@ class ResultsWriter:
                 _text(compute_ms, 3),
                 *(_text(value, 5) for value in _section_values(track)),
                 _text(track.arc_level_sigma, 5),
-                *(_text(value, 4) for value in arc_height_mm),
+                *(_text(value, 4) for value in arc[:2]),
+                arc.unknown,
                 outcome.pose_doubt,
                 outcome.validity,
                 outcome.gate_reason,

@@ -27,10 +27,18 @@ from arctrack.output import make_folder
 from arctrack.printable import printable
 from arctrack.recording import BadFrame, Recording, Truth, read_truth
 from arctrack.recording.ahead import read_ahead
-from arctrack.recording.results import BUS_LOG, FILES, Latency, ResultsWriter, Summary, count_flags
+from arctrack.recording.results import (
+    BUS_LOG,
+    FILES,
+    NO_ARC_HEIGHT,
+    Latency,
+    ResultsWriter,
+    Summary,
+    count_flags,
+)
 from arctrack.recording.run_offsets import RunComparison, read_run_offsets
 from arctrack.recording.score import score
-from arctrack.replay.arc_height import ArcHeightEstimator, above_surface_mm
+from arctrack.replay.arc_height import ArcHeightEstimator, arc_above_surface
 from arctrack.replay.pages.drawing import drawing_on
 from arctrack.replay.pages.drawing_spool import ReplayedFrame, SeenFile
 from arctrack.replay.replay_clock import RealTime, RecordingTime
@@ -38,7 +46,7 @@ from arctrack.replay.replay_loop import replay_frames, replay_without_bus
 from robot_io import BusLogError, Link, LinkError, Source, Verdict
 from robot_io.poses.pose_questions import Implausibility
 from tracker import flags
-from tracker.state import NAN, Frame, Track
+from tracker.state import Frame, Track
 from tracker.warm_up import OnCompiled, WarmUp
 
 if TYPE_CHECKING:
@@ -256,13 +264,13 @@ def _replay(
             run = run_offsets.get(row.index)
             if run is not None:
                 comparison.add(run, sent)
-            height_mm = (
-                (NAN, NAN) if heights is None else above_surface_mm(heights, tracked.track, tracked.step)
-            )
-            results.write(tracked.track, sent, tracked.took_ms, run, height_mm)
+            arc = NO_ARC_HEIGHT
+            if heights is not None:
+                arc = arc_above_surface(heights, tracked.track, tracked.step)
+            results.write(tracked.track, sent, tracked.took_ms, run, arc)
             doubts.append(outcome.pose_doubt)
             if seen is not None:
-                seen.add(ReplayedFrame.of(outcome, run, height_mm))
+                seen.add(ReplayedFrame.of(outcome, run, arc[:2]))
             tracks.append(replace(tracked.track, stripe=None))
             compute_ms.append(tracked.took_ms)
             if isinstance(frame, BadFrame):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from arctrack.nominal import nominal_setup
-from arctrack.replay.arc_height import ArcHeight, ArcHeightEstimator
+from arctrack.replay.arc_height import ArcHeight, ArcHeightEstimator, arc_above_surface
 from arctrack.simulation.simulate import balance
 from noise_model.condition import Condition
 from noise_model.forward import draw_frame
@@ -18,7 +18,7 @@ from tracker.state import Frame, Pose, Track
 
 pytestmark = pytest.mark.slow
 
-SURFACE_SIGMA_MM = 0.2
+SEAM_SIGMA_MM = 0.2, 0.2
 
 
 def estimated(joint: str, seed: int) -> tuple[float, ArcHeight]:
@@ -34,13 +34,13 @@ def estimated(joint: str, seed: int) -> tuple[float, ArcHeight]:
     }
     pose = np.eye(4)
     pose[:3, 3] = 60.0 + rng.uniform(0.0, 5.0), 0.0, 1.0
-    # The plate lies higher or lower than its seam is known.
-    seam = SeamLine(z_mm=rng.normal(0.0, SURFACE_SIGMA_MM))
+    # The plate lies farther aside, and higher or lower, than its seam is known.
+    seam = SeamLine(y_mm=rng.normal(0.0, SEAM_SIGMA_MM[0]), z_mm=rng.normal(0.0, SEAM_SIGMA_MM[1]))
     lit = Condition(0.0, 1.2, setup.camera.exposure_s)
     image = draw_frame(replace(setup, effects=effects), pose, lit, rng, seam=seam)
     frame = Frame(0, 0.0, image, setup.camera.exposure_s, laser_on=False)
     estimator = ArcHeightEstimator(SensorGeometry.of(setup))
-    return height_mm, estimator.estimate(frame, Pose(pose), SeamLine(), None, 0.0, SURFACE_SIGMA_MM)
+    return height_mm, estimator.estimate(frame, Pose(pose), SeamLine(), None, 0.0, SEAM_SIGMA_MM)
 
 
 @pytest.mark.parametrize("joint", ["v_groove", "lap"])
@@ -63,7 +63,7 @@ def test_an_arc_that_is_hidden_says_nothing() -> None:
     frame = Frame(0, 0.0, image, setup.camera.exposure_s, laser_on=False)
     pose = np.eye(4)
     pose[:3, 3] = 60.0, 0.0, 1.0
-    height = estimator.estimate(frame, Pose(pose), SeamLine(), None, 0.0, SURFACE_SIGMA_MM)
+    height = estimator.estimate(frame, Pose(pose), SeamLine(), None, 0.0, SEAM_SIGMA_MM)
     assert np.isnan(height.height_mm)
 
 
@@ -74,12 +74,20 @@ def test_a_track_that_knows_no_arc_or_no_stripe_tells_no_height() -> None:
     pose[:3, 3] = 60.0, 0.0, 1.0
     image = draw_frame(setup, pose, Condition(0.0, 1.0, setup.camera.exposure_s), rng)
     frame = Frame(0, 0.0, image, setup.camera.exposure_s, laser_on=False)
-    known = Track(0, 0.0, 0, arc_level=1.0, offset_sigma_z_mm=0.2)
+    known = Track(0, 0.0, 0, arc_level=1.0, offset_sigma_y_mm=0.2, offset_sigma_z_mm=0.2)
     told = estimator.of_track(frame, Pose(pose), SeamLine(), known)
     assert abs(told.height_mm) < 3.0 * told.height_sigma_mm < 2.0
-    for silent in (
-        estimator.of_track(frame, Pose(pose), SeamLine(), Track(0, 0.0, 0)),
-        estimator.of_track(replace(frame, laser_on=True), Pose(pose), SeamLine(), known),
-        estimator.of_track(frame, Pose(pose), SeamLine(), replace(known, offset_sigma_z_mm=np.nan)),
+    assert told.unknown == ""
+    dark = replace(frame, image_dn=np.zeros_like(image))
+    for silent, why in (
+        (estimator.of_track(frame, Pose(pose), SeamLine(), Track(0, 0.0, 0)), "no_arc"),
+        (estimator.of_track(replace(frame, laser_on=True), Pose(pose), SeamLine(), known), "no_stripe"),
+        (
+            estimator.of_track(frame, Pose(pose), SeamLine(), replace(known, offset_sigma_z_mm=np.nan)),
+            "no_surface",
+        ),
+        (estimator.of_track(dark, Pose(pose), SeamLine(), known), "not_determined"),
     ):
         assert np.isnan(silent.height_mm)
+        assert silent.unknown == why
+    assert arc_above_surface(estimator, known, None).unknown == "not_tracked"

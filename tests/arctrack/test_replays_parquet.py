@@ -24,7 +24,7 @@ TEXTS = (
     "validity",
     "gate_reason",
     *OWN_TEXTS,
-    "weld_refusal",
+    "arc_height_unknown",
 )
 
 

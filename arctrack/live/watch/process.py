@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 from arctrack.live.journal.journal import JournalReader, gap_name
 from arctrack.live.journal.records import Entry, GapReport, pack
 from arctrack.live.journal.ring import RingWriter
-from arctrack.replay.arc_height import NOT_KNOWN, ArcHeight, ArcHeightEstimator
+from arctrack.replay.arc_height import ArcHeight, ArcHeightEstimator
 from noise_model.robust import MAD_SIGMA
 from noise_model.setup import Setup
 from tracker.geometry import SensorGeometry
@@ -232,10 +232,10 @@ class RunWatch:
         view = self._reader.newest_view()
         entry = None if view is None else self._reader.entry(view.position)
         if view is None or entry is None or view.seam is None:
-            return NOT_KNOWN
+            return ArcHeight()
         setup, pose = self._jobs.get(entry.job_number), entry.inputs.pose
         if setup is None or setup.missing or pose is None:
-            return NOT_KNOWN
+            return ArcHeight()
         if entry.job_number not in self._estimators:
             self._estimators[entry.job_number] = ArcHeightEstimator(SensorGeometry.of(setup))
         return self._estimators[entry.job_number].of_track(entry.frame, pose, view.seam, view.track)
