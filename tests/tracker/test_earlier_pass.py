@@ -53,6 +53,19 @@ def test_where_nothing_is_seen_the_earlier_pass_is_followed_with_its_sigma() -> 
     assert raised == ("pass_followed",)
 
 
+@pytest.mark.parametrize("station_mm", [-5.0, 3.0, 777.3, 1996.0, 2003.0])
+def test_of_a_long_seam_the_measurements_about_a_station_tell_it(station_mm: float) -> None:
+    stations_mm = np.arange(0.5, 2000.0)
+    waves_mm = np.column_stack([np.sin(stations_mm / 40.0), 0.5 * np.cos(stations_mm / 70.0)])
+    whole = SeamHistory(stations_mm, waves_mm, np.full((2000, 2), 0.03**2))
+    near = KnownSeam(SOURCE, NO_HISTORY, EarlierPass(whole)).before(station_mm)
+    far = SOURCE.seam_at(whole, station_mm)
+    apart_mm = np.abs(np.subtract(near.displacement_mm, far.displacement_mm))
+    assert (apart_mm < 0.2 * np.array(far.sigma_mm)).all()
+    np.testing.assert_allclose(near.sigma_mm, far.sigma_mm, rtol=0.02)
+    assert (near.first_mm, near.last_mm) == (far.first_mm, far.last_mm) == (0.5, 1999.5)
+
+
 def test_both_count_by_their_sigmas() -> None:
     before = earlier_pass(1.0, -0.4)
     apart = history_of(1.2, -0.4, 0.3)

@@ -97,9 +97,11 @@ class KnownSeam(NamedTuple):
         """Return the earlier pass's own seam at a station, with what has moved since; None without one."""
         if self.earlier is None or self.earlier.history.n == 0:
             return None
-        there = self.source.seam_at(self.earlier.history, station_mm)
+        whole = self.earlier.history
+        there = self.source.seam_at(whole.about(station_mm), station_mm)
         y_mm, z_mm = (math.hypot(sigma_mm, self.earlier.moved_sigma_mm) for sigma_mm in there.sigma_mm)
-        return there._replace(sigma_mm=(y_mm, z_mm))
+        first_mm, last_mm = float(whole.stations_mm[0]), float(whole.stations_mm[-1])
+        return there._replace(sigma_mm=(y_mm, z_mm), first_mm=first_mm, last_mm=last_mm)
 
     def share_before(self, station_mm: float) -> float:
         """Return the earlier pass's share in the seam at a station, of the axis where it is larger."""

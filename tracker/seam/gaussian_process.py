@@ -106,6 +106,13 @@ class SeamHistory(NamedTuple):
         """Return True if a station lies within the measured stretch."""
         return self.n > 0 and bool(self.stations_mm.min() <= station_mm <= self.stations_mm.max())
 
+    def about(self, station_mm: float) -> SeamHistory:
+        """Return the CAPACITY measurements about a station, of stations that rise."""
+        begin = int(np.searchsorted(self.stations_mm, station_mm)) - CAPACITY // 2
+        begin = max(0, min(begin, self.n - CAPACITY))
+        near = slice(begin, begin + CAPACITY)
+        return SeamHistory(self.stations_mm[near], self.displacements_mm[near], self.variances_mm2[near])
+
     def at(self, station_mm: float) -> tuple[Float64, Float64]:
         """Return the displacement (2,) as (y, z), mm, and its 1 sigma (2,) at a station."""
         here = self.point_at(station_mm)
