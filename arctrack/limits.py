@@ -29,7 +29,10 @@ class Limits:
         2_000_000, "rows", "rows of a CSV file, poses of a CAN log", "poses at 250 Hz for two hours"
     )
     json_bytes: int = stated(
-        64 * MIB, "bytes", "size of a file of a blind check", "the labels of 100 recordings are 0.1 MB"
+        64 * MIB,
+        "bytes",
+        "size of a pass's seam, of a file of a blind check",
+        "a seam of 10 m is 2.5 MB, the labels of 100 recordings are 0.1 MB",
     )
     log_bytes: int = stated(
         1024 * MIB, "bytes", "size of a CAN log", "an .asc of a bus at 1 Mbit/s fills it in half an hour"

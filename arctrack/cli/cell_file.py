@@ -111,6 +111,7 @@ def _lines(read: CellFile) -> list[str]:
 
 
 def _of_job(read: CellFile, job: CellJob) -> str:
+    from arctrack.recording.seam_file import check_can_keep
     from arctrack.recording.weld_schedule import read_schedule
 
     parts = [f"{job.name}, a {job.setup_for(read.setup.setup).joint.type}"]
@@ -126,6 +127,7 @@ def _of_job(read: CellFile, job: CellJob) -> str:
         eye = "with" if job.again.laser else "without"
         parts.append(f"{way} {job.again.seam} {eye} the laser")
     if job.keep_seam is not None:
+        check_can_keep(job.keep_seam)
         parts.append(f"keeps {job.keep_seam}")
     if job.schedule is not None:
         parts.append(f"welds by {job.schedule}, by {read_schedule(job.schedule).by}")

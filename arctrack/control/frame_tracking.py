@@ -89,6 +89,10 @@ class PassKeeper(Protocol):
     def begin(self) -> EarlierPass | None:
         """Begin a pass; return the one that it follows again, None for none."""
 
+    @property
+    def is_outdated(self) -> bool:
+        """True once the seam of the earlier pass has become too old for a pass to begin with it."""
+
     def add(self, frame: PassFrame) -> None:
         """Take a frame whose pose is trusted."""
 
@@ -131,6 +135,8 @@ class FrameTracking:
 
     def track(self, shown: Frame | None, capture: Capture) -> TrackedFrame:
         """Track a frame, None for an unreadable one; measurements from doubted poses do not last."""
+        if self._passes is not None and not capture.is_armed and self._passes.is_outdated:
+            self.begin()
         before = self.tracker.state
         if shown is None:
             raised = flags.FRAME_UNREADABLE.mask | before.lasting_flags

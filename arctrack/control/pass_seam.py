@@ -93,6 +93,8 @@ class PassRecorder:
         self._tools[_bin(torch_mm)] = T_base_tool[:3, :3]
         if seam is None or not track.valid:
             return
+        if not math.isfinite(math.hypot(*seam.sigma_mm, *frame.calibration_variance_mm2)):
+            return
         up_base = np.array(seam.axes_base[1])
         seam_base_mm = transform(T_base_tool, np.array(track.seam_tool_mm))
         station = self._stations.setdefault(_bin(seam.station_mm), _Station())
@@ -114,7 +116,7 @@ class PassRecorder:
             filter(math.isfinite, areas_mm2), math.nan
         )
 
-    def kept(self, kept_at: datetime) -> KeptSeam | None:
+    def kept(self, kept_at: datetime | None) -> KeptSeam | None:
         """Return the seam that was recorded, None where too little was."""
         if len(self._stations) < MIN_STATIONS:
             return None
@@ -146,7 +148,7 @@ class LaidSeam:
 
     `earlier` is what the tracker follows. `gaps_mm` and `areas_mm2` (n,) are the joint's, NaN where they were
     not measured. `segments` are those of the nominal line. `R_joint_tools` (n, 3, 3) are the tool's rotations
-    in the joint frame of the present pass, as that pass should have them.
+    in the joint frame of the present pass, as that pass should have them. `kept_at` is the kept seam's.
     """
 
     earlier: EarlierPass
@@ -154,6 +156,7 @@ class LaidSeam:
     areas_mm2: Float64
     segments: tuple[int, ...]
     R_joint_tools: Float64
+    kept_at: datetime | None
 
     def joint_at(self, station_mm: float) -> tuple[float, float]:
         """Return gap, mm, and area, mm^2, of the nearest station; NaN past the seam's ends."""
@@ -213,4 +216,5 @@ def lay_seam(kept: KeptSeam, geometry: SensorGeometry, again: AgainChoice) -> La
         kept.areas_mm2[order],
         tuple(segments[n] for n in order.tolist()),
         R_joint_tools[order],
+        kept.kept_at,
     )

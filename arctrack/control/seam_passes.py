@@ -12,7 +12,7 @@ from arctrack.control.cell_file.choices import AgainChoice
 from arctrack.control.frame_tracking import PassFrame
 from arctrack.control.pass_seam import LaidSeam, PassRecorder, lay_seam
 from arctrack.errors import ArctrackError, in_file
-from arctrack.recording.seam_file import read_seam, write_seam
+from arctrack.recording.seam_file import check_can_keep, read_seam, write_seam
 from arctrack.recording.weld_schedule import WeldValues, read_schedule
 from noise_model.compiled.arrays import Float64
 from tracker.geometry import SensorGeometry
@@ -29,23 +29,25 @@ def utc_now() -> datetime:
 class SeamPasses:
     """Keeper of a job's seam from pass to pass.
 
-    With `limits_age` the earlier pass's seam must not be older than the job states: that of a live run, for
+    Live, the earlier pass's seam must be a live run's, and not older than the job states as the pass begins:
     another part may lie there by now. `problem` says why the earlier pass is unusable, None where it is not.
-    Raises ArctrackError for a weld schedule that is wrong.
+    Raises ArctrackError for a weld schedule that is wrong, and where the seam cannot be kept.
     """
 
     def __init__(
         self,
         job: CellJob,
         geometry: SensorGeometry,
-        limits_age: bool = False,
+        is_live: bool = False,
         now: Callable[[], datetime] = utc_now,
     ) -> None:
         self.problem: str | None = None
         self._has_warned = False
         self._job, self._geometry, self._now = job, geometry, now
+        if job.keep_seam is not None:
+            check_can_keep(job.keep_seam)
         self._schedule = None if job.schedule is None else read_schedule(job.schedule)
-        self._limits_age = limits_age
+        self._is_live = is_live
         self._recorder = PassRecorder(geometry)
         self._laid: LaidSeam | None = None
 
@@ -62,6 +64,18 @@ class SeamPasses:
             return EarlierPass(uses_laser=self._job.again.laser)
         return self._laid.earlier
 
+    @property
+    def is_outdated(self) -> bool:
+        """True once the seam of the earlier pass has become too old for a pass to begin with it."""
+        again, laid = self._job.again, self._laid
+        if not self._is_live or again is None or laid is None:
+            return False
+        try:
+            _check_age(again, laid.kept_at, self._now())
+        except ArctrackError:
+            return True
+        return False
+
     def add(self, frame: PassFrame) -> None:
         """Take a frame whose pose is trusted; the first one without a usable earlier pass is warned of."""
         if self.problem is not None and not self._has_warned:
@@ -73,11 +87,19 @@ class SeamPasses:
         self._recorder.add(frame)
         if was_empty and not self._recorder.is_empty and self._job.keep_seam is not None:
             # Of a part that is not welded to its end there must be no seam of the part before.
-            self._job.keep_seam.unlink(missing_ok=True)
+            try:
+                self._job.keep_seam.unlink(missing_ok=True)
+            except OSError as error:
+                # The robot must be answered all the same.
+                warnings.warn(
+                    f"{self._job.keep_seam}: is of the part before, and cannot be removed: {error.strerror}",
+                    stacklevel=2,
+                )
 
     def finish(self) -> None:
         """End a pass: its seam goes to its file, if it was measured."""
-        kept = None if self._job.keep_seam is None else self._recorder.kept(self._now())
+        kept_at = self._now() if self._is_live else None
+        kept = None if self._job.keep_seam is None else self._recorder.kept(kept_at)
         self._recorder = PassRecorder(self._geometry)
         if kept is None or self._job.keep_seam is None:
             return
@@ -107,24 +129,32 @@ class SeamPasses:
         """Return the earlier pass's seam; ArctrackError, with the cure, where it is unusable."""
         again = self._job.again
         assert again is not None
-        now = self._now() if self._limits_age else None
-        return read_laid(again, self._geometry, now)
+        laid = read_laid(again, self._geometry)
+        if self._is_live:
+            _check_age(again, laid.kept_at, self._now())
+        return laid
 
 
-def read_laid(again: AgainChoice, geometry: SensorGeometry, now: datetime | None = None) -> LaidSeam:
-    """Return an earlier pass's seam along a job's line, not older than the job states where `now` is known.
+def read_laid(again: AgainChoice, geometry: SensorGeometry) -> LaidSeam:
+    """Return an earlier pass's seam along a job's line.
 
     ArctrackError names the file, the key and the cure where it is unusable.
     """
     kept = read_seam(again.seam)
-    age_s = 0.0 if now is None else (now - kept.kept_at).total_seconds()
+    try:
+        return lay_seam(kept, geometry, again)
+    except ValueError as error:
+        raise in_file(again.seam, str(error)) from None
+
+
+def _check_age(again: AgainChoice, kept_at: datetime | None, now: datetime) -> None:
+    """Raise ArctrackError for a seam that a live run cannot follow, by when it was kept."""
+    if kept_at is None:
+        raise in_file(again.seam, "kept_at: null, a replay has kept it; track the earlier pass on this part")
+    age_s = (now - kept_at).total_seconds()
     if not 0.0 <= age_s <= again.max_age_s:
         raise in_file(
             again.seam,
             f"kept_at: is {age_s:.0f} s ago, [again] max_age_s is {again.max_age_s:g}; "
             "track the earlier pass on this part",
         )
-    try:
-        return lay_seam(kept, geometry, again)
-    except ValueError as error:
-        raise in_file(again.seam, str(error)) from None

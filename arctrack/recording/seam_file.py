@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
-from arctrack.errors import in_file
+from arctrack.errors import ArctrackError, in_file
 from arctrack.limits import LIMITS
 from arctrack.output import write_whole
 from arctrack.recording.files import blamed_on, read_text
@@ -33,7 +33,8 @@ Quaternion = tuple[float, float, float, float]
 class KeptSeam:
     """Seam of a pass at n stations along its travel; NaN where a quantity was not measured.
 
-    - `kept_at`: the time of its end, UTC; `calibration`: the digest of camera, laser and their errors.
+    - `kept_at`: the time of its end, UTC, None of a recording's pass; `calibration`: the digest of camera,
+      laser and their errors.
     - `points_base_mm` (n, 3): the programmed path, moved onto the seam, mm, base frame.
     - `quaternions_xyzw` (n, 4): the tool's rotation R_base_tool as the torch passed each station.
     - `sigmas_mm` (n, 2): 1 sigma of each point across the seam and in height, mm, without the calibration's
@@ -41,7 +42,7 @@ class KeptSeam:
     - `gaps_mm` (n,), `areas_mm2` (n,): the joint's gap and the area of its opening.
     """
 
-    kept_at: datetime
+    kept_at: datetime | None
     calibration: str
     calibration_sigma_mm: tuple[float, float]
     points_base_mm: Float64
@@ -57,7 +58,7 @@ class SeamFile(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     format: Literal["arctrack-seam/1"]
-    kept_at: AwareDatetime
+    kept_at: AwareDatetime | None
     calibration: str
     calibration_sigma_mm: tuple[Annotated[float, Field(ge=0.0)], Annotated[float, Field(ge=0.0)]]
     points_base_mm: list[Point] = Field(min_length=MIN_STATIONS)
@@ -79,7 +80,7 @@ def write_seam(path: Path, seam: KeptSeam) -> None:
 def read_seam(path: Path) -> KeptSeam:
     """Read a pass's seam; ArctrackError names the file, the key and the cure of what is wrong."""
     with blamed_on(path, "there is no such file; a job with keep_seam writes it at the end of its pass"):
-        text = read_text(path, LIMITS.toml_bytes)
+        text = read_text(path, LIMITS.json_bytes)
     try:
         content = SeamFile.model_validate_json(text)
     except ValueError as error:
@@ -94,6 +95,17 @@ def read_seam(path: Path) -> KeptSeam:
     norms = np.linalg.norm(arrays["quaternions_xyzw"], axis=1)
     for wrong in np.flatnonzero(~(np.abs(norms - 1.0) < 0.01)).tolist():
         raise in_file(path, f"quaternions_xyzw[{wrong}]: its norm is not 1; keep the seam anew")
-    return KeptSeam(
-        content.kept_at.astimezone(UTC), content.calibration, content.calibration_sigma_mm, **arrays
-    )
+    kept_at = None if content.kept_at is None else content.kept_at.astimezone(UTC)
+    return KeptSeam(kept_at, content.calibration, content.calibration_sigma_mm, **arrays)
+
+
+def check_can_keep(path: Path) -> None:
+    """Raise ArctrackError if a pass's seam cannot be kept there, or would take another file's place."""
+    if not path.parent.is_dir():
+        raise in_file(path, "its folder is missing; make it, or name another file as keep_seam")
+    if not path.exists():
+        return
+    try:
+        read_seam(path)
+    except ArctrackError as error:
+        raise ArctrackError(f"{error}; keep_seam would replace it: name another file, or remove it") from None

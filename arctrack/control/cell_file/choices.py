@@ -230,6 +230,8 @@ class CellJob:
                 f"[again] reverse: from the other end a {joint.type} has its sides changed; "
                 "state laser = false, or a joint of " + ", ".join(SYMMETRIC)
             )
+        if self.keep_seam == again.seam:
+            raise ValueError("keep_seam: is the seam that the job follows; name another file")
         if not again.laser:
             for key, is_stated in (
                 ("[part]", self.part.required),

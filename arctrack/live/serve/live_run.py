@@ -199,7 +199,7 @@ def run_parts(
     `finder` answers the FIND of a live robot.
 
     Raises ArctrackError if the file states none, if it cannot be opened, if a job's stripe is not in view, or
-    its weld schedule is wrong.
+    its weld schedule is wrong, or its seam cannot be kept.
     """
     camera = cell.camera
     if camera.kind is None or camera.name is None:
@@ -239,7 +239,7 @@ def _live(
             pose_time_s(setup, 0.0),
             lag_estimator=lag_estimator,
         )
-        make_passes = partial(SeamPasses, job, limits_age=True)
+        make_passes = partial(SeamPasses, job, is_live=True)
         try:
             tracking = FrameTracking(setup, job.correction, make_passes=make_passes)
             seams[number] = SeamTracker(poses, tracking)

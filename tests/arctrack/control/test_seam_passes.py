@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from arctrack.control.cell_file.choices import AgainChoice, CellJob
-from arctrack.control.frame_tracking import PassFrame, seam_measurement
+from arctrack.control.frame_tracking import Capture, FrameTracking, PassFrame, seam_measurement
 from arctrack.control.job import PartLimits
 from arctrack.control.seam_passes import SeamPasses
 from arctrack.errors import ArctrackError
@@ -22,7 +22,7 @@ from arctrack.recording.weld_schedule import read_schedule
 from noise_model.setup import Setup
 from noise_model.surface.joint import seam_height_mm
 from noise_model.transforms import moved
-from robot_io import GateLimits
+from robot_io import GateLimits, PoseAt, PoseStatus
 from tracker import flags
 from tracker.geometry import SensorGeometry
 from tracker.seam.correction import UNSTATED
@@ -62,7 +62,7 @@ def see(passes: SeamPasses, y_mm: float = 1.0, z_mm: float = -0.5, flag: int = 0
 
 
 def kept_in(path: Path, **seen: float) -> Path:
-    passes = SeamPasses(job_of(keep_seam=path), GEOMETRY, False, lambda: NOON)
+    passes = SeamPasses(job_of(keep_seam=path), GEOMETRY, True, lambda: NOON)
     assert passes.begin() is None
     see(passes, **seen)
     passes.finish()
@@ -75,11 +75,11 @@ def seam(tmp_path: Path) -> Path:
 
 
 def following(
-    seam: Path, setup: Setup = SETUP, later_s: float = 60.0, limits_age: bool = True, **keys: object
+    seam: Path, setup: Setup = SETUP, later_s: float = 60.0, is_live: bool = True, **keys: object
 ) -> SeamPasses:
     job = job_of(again=AgainChoice(seam, **keys))
     geometry = SensorGeometry.of(job.setup_for(setup))
-    return SeamPasses(job, geometry, limits_age, lambda: NOON + timedelta(seconds=later_s))
+    return SeamPasses(job, geometry, is_live, lambda: NOON + timedelta(seconds=later_s))
 
 
 def test_what_is_kept_is_the_path_moved_onto_the_seam(seam: Path) -> None:
@@ -150,7 +150,7 @@ def test_a_seam_that_is_not_this_pass_s_is_refused_by_its_key(
 
 
 def test_a_replay_follows_a_seam_of_any_age(seam: Path) -> None:
-    earlier = following(seam, later_s=1e7, limits_age=False).begin()
+    earlier = following(seam, later_s=1e7, is_live=False).begin()
     assert earlier is not None
     assert earlier.history.n > 0
 
@@ -171,10 +171,62 @@ def test_the_seam_of_the_part_before_goes_as_the_next_is_measured(seam: Path) ->
 
 
 def test_a_seam_that_cannot_be_written_ends_no_run(tmp_path: Path) -> None:
-    passes = SeamPasses(job_of(keep_seam=tmp_path / "none" / "seam.json"), GEOMETRY, False)
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    passes = SeamPasses(job_of(keep_seam=folder / "seam.json"), GEOMETRY)
+    folder.rmdir()
     see(passes)
     with pytest.warns(UserWarning, match=r"seam\.json: cannot be written"):
         passes.finish()
+
+
+def test_a_seam_takes_no_other_file_s_place(tmp_path: Path) -> None:
+    setup = tmp_path / "recording.toml"
+    setup.write_text("[camera]\n")
+    with pytest.raises(ArctrackError, match=r"recording\.toml.*name another file"):
+        SeamPasses(job_of(keep_seam=setup), GEOMETRY)
+    with pytest.raises(ArctrackError, match="folder is missing"):
+        SeamPasses(job_of(keep_seam=tmp_path / "none" / "seam.json"), GEOMETRY)
+
+
+def test_a_live_run_follows_no_seam_that_a_replay_has_kept(tmp_path: Path) -> None:
+    path = tmp_path / "seam.json"
+    replay = SeamPasses(job_of(keep_seam=path), GEOMETRY)
+    see(replay)
+    replay.finish()
+    assert read_seam(path).kept_at is None
+    assert following(path, is_live=False).begin().history.n > 0
+    live = following(path)
+    assert live.begin().history.n == 0
+    assert "a replay has kept it" in live.problem
+
+
+def test_a_seam_grows_too_old_before_its_pass_begins_not_in_it(seam: Path) -> None:
+    now = [NOON]
+    job = job_of(again=AgainChoice(seam))
+    tracking = FrameTracking(
+        SETUP, job.correction, make_passes=lambda geometry: SeamPasses(job, geometry, True, lambda: now[0])
+    )
+    assert tracking.tracker.state.earlier.history.n > 0
+    now[0] += timedelta(hours=2)
+    still = np.zeros(3)
+    pose = PoseAt(0.0, PoseStatus.INTERPOLATED, None, np.eye(4), still, still, 0.01)
+    for is_armed, n in ((True, 61), (False, 0)):
+        tracking.track(None, Capture(0, 0.0, pose, None, True, AT_ONCE, is_armed))
+        assert tracking.tracker.state.earlier.history.n == pytest.approx(n, abs=1)
+
+
+def test_points_of_unknown_sigma_are_not_kept(tmp_path: Path) -> None:
+    path = tmp_path / "seam.json"
+    passes = SeamPasses(job_of(keep_seam=path), GEOMETRY)
+    see(passes)
+    T_base_tool = np.eye(4)
+    T_base_tool[:3, 3] = 60.0, 5.0, 2.0
+    track = Track(0, 0.0, 0, (35.0, 0.0, 0.0), math.nan, 0.1)
+    seam = seam_measurement(SETUP, track, Pose(T_base_tool), (0.04, 0.04))
+    passes.add(PassFrame(track, seam, T_base_tool, (0.04, 0.04)))
+    passes.finish()
+    assert np.isfinite(read_seam(path).sigmas_mm).all()
 
 
 SCHEDULE = "gap_mm,speed_mm_s,wire_m_min\n1.0,4.0,1.0\n1.5,3.0,2.0\n"
@@ -231,6 +283,7 @@ def test_a_schedule_that_is_wrong_is_refused_in_one_line(tmp_path: Path, text: s
             job_of(AgainChoice(Path("s"), side_mm=20.0)),
             "range_y_mm",
         ),
+        (job_of(AgainChoice(Path("s")), keep_seam=Path("s")), "keep_seam"),
     ],
 )
 def test_a_job_that_cannot_follow_again_is_refused_by_its_key(job: CellJob, words: str) -> None:

@@ -115,7 +115,7 @@ class Stage:
         trackings = {number: FrameTracking(setup) for number in jobs}
         for number, job in (passes or {}).items():
             jobs[number] = job.to_job(setup, GateLimits())
-            make_passes = partial(SeamPasses, job, limits_age=True)
+            make_passes = partial(SeamPasses, job, is_live=True)
             trackings[number] = FrameTracking(setup, job.correction, make_passes=make_passes)
         controller = Controller(jobs)
         path, limits = nominal_path(setup.joint), PlausibilityLimits()
