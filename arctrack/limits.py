@@ -35,7 +35,10 @@ class Limits:
         "a seam of 10 m is 2.5 MB, the labels of 100 recordings are 0.1 MB",
     )
     log_bytes: int = stated(
-        1024 * MIB, "bytes", "size of a CAN log", "an .asc of a bus at 1 Mbit/s fills it in half an hour"
+        1024 * MIB,
+        "bytes",
+        "size of a CAN log, of an MCAP file",
+        "an .asc of a bus at 1 Mbit/s fills it in half an hour",
     )
     image_px: int = stated(
         2**24, "px", "pixels of the camera", "the tracker's tables take 80 bytes a pixel: 1.3 GB"

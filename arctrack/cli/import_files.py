@@ -21,7 +21,8 @@ def import_files(
     sources: Annotated[
         list[Path],
         typer.Argument(
-            metavar="SOURCE...", help="A folder of images, images, a pattern in quotes, or grey FFV1 video."
+            metavar="SOURCE...",
+            help="A folder of images, images, a pattern in quotes, grey FFV1 video, or a profiler's files.",
         ),
     ],
     setup: Annotated[Path, typer.Option(help="The sensor's recording.toml, or a recording that has it.")],
@@ -56,8 +57,8 @@ def import_files(
     profile: Annotated[
         list[str] | None,
         typer.Option(
-            help="KEY=VALUE of a profiler's files: layout, up_mm, across_mm, axes, nothing, separator, "
-            "decimal, zero, middle; repeat. What a file needs is asked for."
+            help="KEY=VALUE of a profiler's files, CSV, PCD or MCAP: layout, topic, up_mm, across_mm, axes, "
+            "nothing, separator, decimal, zero, middle; repeat. What a file needs is asked for."
         ),
     ] = None,
     bayer: Annotated[
@@ -79,7 +80,7 @@ def import_files(
     from arctrack.cli import console
     from arctrack.printable import quoted
     from arctrack.recording.importing.import_recording import ImportSources, import_recording
-    from arctrack.recording.importing.profile_files import ProfileLayout
+    from arctrack.recording.importing.profile_layout import ProfileLayout
     from arctrack.recording.importing.units import parse_units
 
     _check_range("--rate-hz", rate_hz, 1e-4, 1e5)

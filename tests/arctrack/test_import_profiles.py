@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.recording import BadFrame, read_recording
-from arctrack.recording.importing.profile_files import ProfileLayout, heights_of, on_columns
+from arctrack.recording.importing.profile_files import on_columns, profiles_of
+from arctrack.recording.importing.profile_layout import ProfileLayout
 from noise_model.compiled.arrays import Float64
 from noise_model.instrument.profiler import Profiler
 
@@ -35,7 +36,7 @@ def as_mm(units: list[int | None], up_mm: float) -> Float64:
 
 def read(path: Path, text: str, *options: str) -> list[Float64]:
     path.write_text(text)
-    return list(heights_of(path, ProfileLayout.of(options), profiler()))
+    return [each.z_mm for each in profiles_of(path, ProfileLayout.of(options), profiler())]
 
 
 def check(read_mm: list[Float64], units: list[list[int | None]], up_mm: float) -> None:
@@ -131,7 +132,7 @@ def test_gocators_parts(tmp_path_factory: pytest.TempPathFactory, units: list[li
 def test_between_neighbours_heights_are_interpolated_and_across_a_gap_never() -> None:
     y_mm = np.array([-4.95, -4.45, -3.95, -2.45, -1.95])
     z_mm = 2.0 * y_mm
-    found = on_columns(y_mm, z_mm, profiler())
+    (found,) = on_columns(y_mm, z_mm[None], profiler())
     places = profiler().y_mm
     is_between = ((places >= -4.95) & (places <= -3.95)) | ((places >= -2.45) & (places <= -1.95))
     np.testing.assert_allclose(found[is_between], 2.0 * places[is_between])

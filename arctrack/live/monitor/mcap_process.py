@@ -63,9 +63,9 @@ def run_mcap(options: McapOptions, parent: Connection) -> None:
             return
         status = reader.status()
     setups = {f"job_{number}.toml": job.toml.encode() for number, job in options.jobs.items()}
-    camera = options.jobs[min(options.jobs)].setup.camera
+    setup = options.jobs[min(options.jobs)].setup
     late_s = status.wall_s - status.now_s
-    with McapFile(path, camera, setups, status.now_s, late_s, {"run": options.run}) as file:
+    with McapFile(path, setup, setups, status.now_s, late_s, {"run": options.run}) as file:
         bridge = _Bridge(file, reader, options.jobs)
         while not wait([parent], LOOK_S):
             bridge.look()

@@ -33,7 +33,8 @@ from arctrack.recording.importing.conditions import (
 from arctrack.recording.importing.grey_frames import GreyFrames, grey_frames
 from arctrack.recording.importing.image_files import ImageSeries, check_decimals, find_images, times_in_names
 from arctrack.recording.importing.pose_files import PoseFile, known_names, read_poses
-from arctrack.recording.importing.profile_files import ProfileLayout, write_frames
+from arctrack.recording.importing.profile_files import write_frames
+from arctrack.recording.importing.profile_layout import ProfileLayout
 from arctrack.recording.importing.units import UNSTATED, Units
 from arctrack.recording.poses import can_channel
 from arctrack.recording.reader import fitted
@@ -104,15 +105,28 @@ def import_recording(
     if profiler is None or raw.profile is None:
         return _import_images(raw, stated, out, on_frame)
     with tempfile.TemporaryDirectory() as folder:
-        note = write_frames(raw.sources, raw.profile, profiler, Path(folder))
-        made = _import_images(replace(raw, sources=[Path(folder)]), stated, out, on_frame)
+        written = write_frames(raw.sources, raw.profile, profiler, Path(folder))
+        times = TimeSource(f"the times in {raw.sources[0].name}", written.times_s)
+        falls = np.flatnonzero(np.diff(written.times_s) <= 0.0)
+        if len(falls) and raw.frames is None and raw.rate_hz is None:
+            problem = f"the time of profile {falls[0] + 2} does not come after the one before"
+            raise in_file(raw.sources[0], f"{problem}; state the times by --rate-hz or --frames")
+        made = _import_images(replace(raw, sources=[Path(folder)]), stated, out, on_frame, times)
     notes = {name: text for name, text in made.notes.items() if name not in ("images", "grey")}
-    return replace(made, notes={"profiles": note, **notes})
+    return replace(made, notes={"profiles": written.note, **notes})
 
 
-def _import_images(raw: ImportSources, stated: SetupFile, out: Path, on_frame: OnFrame) -> ImportResult:
-    """Make a recording of images under a setup."""
+def _import_images(
+    raw: ImportSources,
+    stated: SetupFile,
+    out: Path,
+    on_frame: OnFrame,
+    times_of_source: TimeSource | None = None,
+) -> ImportResult:
+    """Make a recording of images under a setup, whose source may say their times."""
     series = find_images(raw.sources)
+    if times_of_source is not None:
+        series = replace(series, times=times_of_source)
     names = None
     if raw.times_in_names:
         names = times_in_names(series.paths, raw.units)

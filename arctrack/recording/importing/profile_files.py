@@ -1,41 +1,25 @@
-"""Profiles of laser profilers, from the text files that such sensors write.
+"""Profiles of laser profilers, from the files that such sensors and their programs write.
 
 What a file does not say is stated by the user, key by key, and never guessed. Places that are not those of
 the setup's columns are laid on them, between neighbours without a gap alone.
 """
 
 import io
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from arctrack.errors import ArctrackError, in_file
+from arctrack.errors import ArctrackError, in_file, without_extra
 from arctrack.limits import LIMITS
 from arctrack.recording import png
 from arctrack.recording.csv_file import number
 from arctrack.recording.files import blamed_on, read_text
 from arctrack.recording.frames import png_path
+from arctrack.recording.importing.profile_layout import ProfileLayout, RawProfile
 from noise_model.compiled.arrays import Float64
 from noise_model.instrument.profiler import Profiler
-from noise_model.spelling import nearest
-
-KEYS = {
-    "layout": "rows (a profile a line), blocks (of rows, with an empty line behind each), cloud (points, a "
-    "profile where the third axis changes) or gocator",
-    "up_mm": "mm of a height's unit, negative where a larger value is farther from the sensor",
-    "across_mm": "mm of a place's unit, or the pitch of columns without places; negative to mirror",
-    "axes": "names across, along and up, such as x,z,y; blocks are x, y, z in their order",
-    "nothing": "the value without a height, empty for cells without a value",
-    "separator": "what parts the cells: comma, semicolon, tab or blank",
-    "decimal": "the decimal mark: point or comma",
-    "zero": "the value of the profile's z = 0, in the file's unit; 0 unless stated",
-    "middle": "the place of the profile's middle column, in the file's unit; 0 unless stated",
-}
-"""Meaning of each key of --profile."""
 
 SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "blank": None}
 DECIMALS = {"point": ".", "comma": ","}
@@ -43,85 +27,50 @@ DECIMALS = {"point": ".", "comma": ","}
 GAP = 1.5
 """Neighbours farther apart than so many usual distances have a gap between them."""
 
-SAME = 1e-6
-"""Places as near as this share of a pitch are the column's own."""
+SAME = 1e-3
+"""Places as near as this share of a pitch are the column's own.
+
+A place in float32 is off by 5e-4 pitches at the end of the most columns; a height along a slope of 45 degrees
+is then off by a thousandth of a pitch at most.
+"""
 
 
-class RawProfile(NamedTuple):
-    """Points of a profile in the file's units: places (n,), rising, and heights (n,), NaN for none."""
+class ColumnProfile(NamedTuple):
+    """A profile on the profiler's columns: heights (columns,), mm, NaN for none, and intensities (columns,).
 
-    across: Float64
-    up: Float64
+    Without intensities in the file these are 1; `time_s` is NaN where the file says none.
+    """
 
-
-@dataclass(frozen=True)
-class ProfileLayout:
-    """Layout of a file of profiles, as the user states it by `KEYS`."""
-
-    stated: Mapping[str, str]
-
-    @classmethod
-    def of(cls, texts: Sequence[str]) -> "ProfileLayout":
-        """Return the layout that options KEY=VALUE state; ArctrackError for what states none."""
-        stated: dict[str, str] = {}
-        for text in texts:
-            name, equals, value = (part.strip() for part in text.partition("="))
-            if name not in KEYS or not (equals and value):
-                near = nearest(name, KEYS)
-                hint = f"; did you mean {near}?" if near else f"; the keys are {', '.join(KEYS)}"
-                raise ArctrackError(f"--profile {text}: give KEY=VALUE{hint}")
-            stated[name] = value
-        return cls(stated)
-
-    def need(self, path: Path, name: str) -> str:
-        """Return a key's value; ArctrackError names the file and the cure where it is not stated."""
-        if name not in self.stated:
-            raise in_file(path, f"does not say {KEYS[name]}: give --profile {name}=…")
-        return self.stated[name]
-
-    def choice(self, path: Path, name: str, choices: Mapping[str, str | None]) -> str | None:
-        """Return what one of some words stands for."""
-        word = self.need(path, name)
-        if word not in choices:
-            raise ArctrackError(f"--profile {name}={word}: must be one of {', '.join(choices)}")
-        return choices[word]
-
-    def number(self, name: str, text: str) -> float:
-        """Return a key's value as a number."""
-        try:
-            return number(text)
-        except ValueError as error:
-            raise ArctrackError(f"--profile {name}={text}: {error}") from None
-
-    def scale(self, path: Path, name: str) -> float:
-        """Return mm of a unit, which is not 0."""
-        scale = self.number(name, self.need(path, name))
-        if scale == 0.0:
-            raise ArctrackError(f"--profile {name}=0: must not be 0; it is {KEYS[name]}")
-        return scale
-
-    @property
-    def nothing(self) -> float:
-        """The value without a height, NaN where none is stated."""
-        text = self.stated.get("nothing", "empty")
-        return math.nan if text == "empty" else self.number("nothing", text)
+    z_mm: Float64
+    intensity: Float64
+    time_s: float
 
 
-def write_frames(sources: Sequence[Path], layout: ProfileLayout, profiler: Profiler, folder: Path) -> str:
-    """Write the profiles of files as a recording's frames, in order, and return a note on them.
+class WrittenProfiles(NamedTuple):
+    """Profiles that were written as frames: a note on them, and their times (n,), s, NaN for none."""
+
+    note: str
+    times_s: Float64
+
+
+def write_frames(
+    sources: Sequence[Path], layout: ProfileLayout, profiler: Profiler, folder: Path
+) -> WrittenProfiles:
+    """Write the profiles of files as a recording's frames, in order.
 
     Raises ArctrackError for a file that cannot be read, for a key that is not stated, and where the heights
     lie outside the profiler's range.
     """
-    count, held, beyond = 0, 0, 0
+    count, held, beyond, times_s = 0, 0, 0, []
     for source in sources:
-        for z_mm in heights_of(source, layout, profiler):
+        for z_mm, intensity, time_s in profiles_of(source, layout, profiler):
             codes = profiler.codes(z_mm)
             held += int(np.count_nonzero(codes))
             beyond += int(np.count_nonzero(np.isfinite(z_mm) & (codes == 0)))
-            # No file that is read here has an intensity.
-            image = np.stack([codes, np.where(codes > 0, 1, 0).astype(np.uint16)])
+            intensity = np.clip(np.rint(np.where(codes > 0, np.nan_to_num(intensity), 0.0)), 0.0, 65535.0)
+            image = np.stack([codes, intensity.astype(np.uint16)])
             png_path(folder, count).write_bytes(png.encode(image))
+            times_s.append(time_s)
             count += 1
         if beyond > held:
             raise in_file(
@@ -130,31 +79,48 @@ def write_frames(sources: Sequence[Path], layout: ProfileLayout, profiler: Profi
                 "middle by --profile zero=VALUE, or a larger range",
             )
     share = held / max(count * profiler.columns, 1)
-    return f"{count} profiles, {100 * share:.1f} % of their columns have a height, {beyond} lie out of range"
+    note = f"{count} profiles, {100 * share:.1f} % of their columns have a height, {beyond} lie out of range"
+    return WrittenProfiles(note, np.array(times_s))
 
 
-def heights_of(path: Path, layout: ProfileLayout, profiler: Profiler) -> Iterator[Float64]:
-    """Yield the heights (columns,) of a file's profiles on the profiler's columns, mm, NaN for none."""
-    with blamed_on(path, "there is no such file"):
-        text = read_text(path, LIMITS.csv_bytes)
+def profiles_of(path: Path, layout: ProfileLayout, profiler: Profiler) -> Iterator[ColumnProfile]:
+    """Yield a file's profiles on the profiler's columns."""
     name = layout.need(path, "layout")
-    if name not in READERS:
-        raise ArctrackError(f"--profile layout={name}: must be one of {', '.join(READERS)}")
-    stated = layout if name != "gocator" else ProfileLayout({"up_mm": "1", "across_mm": "1", **layout.stated})
+    if name not in (*TEXT_READERS, MCAP):
+        raise ArctrackError(f"--profile layout={name}: must be one of {', '.join((*TEXT_READERS, MCAP))}")
+    if name == MCAP:
+        try:
+            from arctrack.recording.importing.mcap_profiles import known_keys, mcap_profiles
+        except ModuleNotFoundError as error:
+            raise without_extra(f"{path}: --profile layout=mcap", error, "mcap") from None
+        stated = ProfileLayout({**known_keys(path), **layout.stated})
+        raws = mcap_profiles(path, stated)
+    else:
+        with blamed_on(path, "there is no such file"):
+            text = read_text(path, LIMITS.csv_bytes)
+        known = {"up_mm": "1", "across_mm": "1"} if name == "gocator" else {}
+        stated = ProfileLayout({**known, **layout.stated})
+        raws = TEXT_READERS[name](path, text, stated)
     up_mm, across_mm = stated.scale(path, "up_mm"), stated.scale(path, "across_mm")
     zero, middle = (stated.number(key, stated.stated.get(key, "0")) for key in ("zero", "middle"))
-    for raw in READERS[name](path, text, stated):
+    for raw in raws:
         up = np.where(raw.up == stated.nothing, np.nan, raw.up)
-        yield on_columns((raw.across - middle) * across_mm, (up - zero) * up_mm, profiler)
+        intensity = np.ones(len(up)) if raw.intensity is None else raw.intensity
+        values = np.stack([(up - zero) * up_mm, intensity])
+        z_mm, intensity = on_columns((raw.across - middle) * across_mm, values, profiler)
+        yield ColumnProfile(z_mm, intensity, raw.time_s)
 
 
-def on_columns(y_mm: Float64, z_mm: Float64, profiler: Profiler) -> Float64:
-    """Return heights (columns,) of points (n,) at the columns' places, NaN where a gap lies."""
+def on_columns(y_mm: Float64, values: Float64, profiler: Profiler) -> Float64:
+    """Return values (k, columns) of points (k, n) at the columns' places, NaN where a gap lies.
+
+    The first values are heights, NaN where there is no point.
+    """
     order = np.argsort(y_mm, kind="stable")
-    known = order[np.isfinite(z_mm[order])]
-    y, z, wanted = y_mm[known], z_mm[known], profiler.y_mm
+    known = order[np.isfinite(values[0, order])]
+    y, held, wanted = y_mm[known], values[:, known], profiler.y_mm
     if len(y) < 2:
-        return np.full(profiler.columns, np.nan)
+        return np.full((len(values), profiler.columns), np.nan)
     # Points of a cloud do not lie evenly: three of four distances are usual.
     pitch_mm = float(np.quantile(np.diff(y_mm[order]), 0.75, method="lower"))
     after = np.clip(np.searchsorted(y, wanted - SAME * profiler.pitch_mm), 1, len(y) - 1)
@@ -164,7 +130,7 @@ def on_columns(y_mm: Float64, z_mm: Float64, profiler: Profiler) -> Float64:
     is_own = np.abs(share - near) * span <= SAME * profiler.pitch_mm
     share = np.where(is_own, near, share)
     is_between = (share >= 0.0) & (share <= 1.0) & (is_own | (span <= GAP * pitch_mm))
-    return np.where(is_between, (1.0 - share) * z[after - 1] + share * z[after], np.nan)
+    return np.where(is_between, (1.0 - share) * held[:, after - 1] + share * held[:, after], np.nan)
 
 
 def _cells(path: Path, layout: ProfileLayout, lines: Sequence[str], first: int) -> Iterator[Float64]:
@@ -193,15 +159,6 @@ def _rows(path: Path, text: str, layout: ProfileLayout) -> Iterator[RawProfile]:
         yield RawProfile(np.arange(float(len(up))) - 0.5 * (len(up) - 1), up)
 
 
-def _axes(path: Path, layout: ProfileLayout, names: Sequence[str]) -> tuple[int, int, int]:
-    """Return the places of the axes across, along and up among some names."""
-    axes = [name.strip() for name in layout.need(path, "axes").split(",")]
-    if len(axes) != 3 or len({*axes}) != 3 or not {*axes} <= {*names}:
-        raise in_file(path, f"--profile axes={','.join(axes)}: must be three of {', '.join(names)}")
-    across, along, up = (list(names).index(name) for name in axes)
-    return across, along, up
-
-
 def _blocks(path: Path, text: str, layout: ProfileLayout) -> Iterator[RawProfile]:
     """Yield the rows of three blocks x, y, z, which an empty line parts; rows may be of unequal length."""
     blocks: list[list[Float64]] = [[]]
@@ -215,7 +172,7 @@ def _blocks(path: Path, text: str, layout: ProfileLayout) -> Iterator[RawProfile
     *blocks, _ = blocks
     if len(blocks) != 3 or len({len(block) for block in blocks}) != 1:
         raise in_file(path, f"has {len(blocks)} blocks of {[len(b) for b in blocks]} rows: needs three alike")
-    across, _, up = _axes(path, layout, ("x", "y", "z"))
+    across, _, up = layout.axes(path, ("x", "y", "z"))
     for n, (places, heights) in enumerate(zip(blocks[across], blocks[up], strict=True), 1):
         if len(places) != len(heights):
             raise in_file(path, f"row {n} of the blocks: {len(places)} places and {len(heights)} heights")
@@ -237,7 +194,7 @@ def _cloud(path: Path, text: str, layout: ProfileLayout) -> Iterator[RawProfile]
         raise in_file(path, f"is no cloud of points: {error}") from None
     if points.shape[1] < len(names):
         raise in_file(path, f"has {points.shape[1]} numbers a point, {len(names)} are needed")
-    across, along, up = _axes(path, layout, names)
+    across, along, up = layout.axes(path, names)
     starts = np.flatnonzero(np.diff(points[:, along])) + 1
     for part in np.split(points, starts):
         yield RawProfile(part[:, across], part[:, up])
@@ -263,5 +220,13 @@ def _gocator(path: Path, text: str, layout: ProfileLayout) -> Iterator[RawProfil
 
 Reader = Callable[[Path, str, ProfileLayout], Iterator[RawProfile]]
 
-READERS: Mapping[str, Reader] = {"rows": _rows, "blocks": _blocks, "cloud": _cloud, "gocator": _gocator}
-"""The reader of each layout."""
+TEXT_READERS: Mapping[str, Reader] = {
+    "rows": _rows,
+    "blocks": _blocks,
+    "cloud": _cloud,
+    "gocator": _gocator,
+}
+"""The reader of each layout that is text."""
+
+MCAP = "mcap"
+"""The layout that is none."""

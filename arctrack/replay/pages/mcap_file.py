@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import IO, Any, Self
 
 import numpy as np
+import numpy.typing as npt
 from mcap.writer import Writer
 from PIL.ImageColor import getrgb
 from scipy.spatial.transform import Rotation
@@ -25,7 +26,8 @@ from arctrack.replay.pages.view import ReplayView, chosen, stretches
 from arctrack.report import style
 from arctrack.report.image import jpeg
 from noise_model.compiled.arrays import Float64
-from noise_model.instrument.camera import Camera
+from noise_model.instrument.profiler import Profiler
+from noise_model.setup import Setup
 from tracker.checks import Check
 from tracker.state import Frame
 
@@ -130,8 +132,15 @@ TRACK = _record(
 )
 
 
-LINE_STRIP, FLOAT32 = 3, 7
-"""Foxglove's numbers for a line through points, and for the type of a packed number."""
+LINE_STRIP = 3
+"""Foxglove's number for a line through points."""
+
+PACKED_TYPES = {"|u1": 1, "<u2": 3, "<f4": 7}
+"""Foxglove's numbers for the types of packed numbers."""
+
+POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+PROFILER_POINT = np.dtype([*POINT.descr, ("intensity", "<u2"), ("on_trace", "u1")])
+"""A point that was read in an image, and a profiler's point, marked if it is on the surface's trace."""
 
 M_PER_MM = 1e-3
 
@@ -151,25 +160,25 @@ class McapFile:
     """Writer of an MCAP file, message by message; the context's end completes it.
 
     It begins at `first_s`. All times in it are `late_s` later than the frames', as its metadata say with
-    `metadata`; `setups` are attached by their names, the first one's camera is the topics'. Raises
-    ArctrackError, which names the file, where it cannot be written.
+    `metadata`; `setups` are attached by their names, `setup` has the topics' sensor. Raises ArctrackError,
+    which names the file, where it cannot be written.
     """
 
     def __init__(
         self,
         path: Path,
-        camera: Camera,
+        setup: Setup,
         setups: Mapping[str, bytes],
         first_s: float,
         late_s: float,
         metadata: Mapping[str, str],
     ) -> None:
-        self._path, self._late_s = path, late_s
+        self._path, self._late_s, self._profiler = path, late_s, setup.profiler
         with writing(path):
             self._file: IO[bytes] = path.open("wb")
         self._writer, self._channels = Writer(self._file), dict[str, int]()
         with writing(path):
-            self._begin(camera, setups, self._ns(first_s), {**metadata, "seconds_later": f"{late_s:.15g}"})
+            self._begin(setup, setups, self._ns(first_s), {**metadata, "seconds_later": f"{late_s:.15g}"})
 
     @classmethod
     def of_recording(cls, path: Path, recording: Recording) -> Self:
@@ -178,10 +187,9 @@ class McapFile:
         MCAP counts time from 0: where the recording begins before, times are whole seconds later.
         """
         first_s = min(row.timestamp_s for row in recording.rows)
-        setup = recording.setup_path
-        setups = {setup.name: setup.read_bytes()}
+        setups = {recording.setup_path.name: recording.setup_path.read_bytes()}
         late_s = max(0, math.ceil(-first_s))
-        return cls(path, recording.setup.camera, setups, first_s, late_s, {"recording": recording.name})
+        return cls(path, recording.setup, setups, first_s, late_s, {"recording": recording.name})
 
     def add(
         self, frame: Frame | None, seen: ReplayedFrame, view: ReplayView, true_mm: Float64 | None
@@ -203,16 +211,12 @@ class McapFile:
             messages["/camera/annotations"] = _annotations(stamp, view)
         if seen.pose is not None:
             messages["/tf"] = _transform(stamp, "base", "tool", seen.pose.T_base_tool)
-        if view.profile is not None:
+        if self._profiler is not None and frame is not None:
+            points = _profiler_points(self._profiler, frame, view)
+            messages["/profile"] = _point_cloud(stamp, "profile", points)
+        elif view.profile is not None:
             points_m = (view.profile.points_mm * M_PER_MM).astype("<f4")
-            messages["/profile"] = {
-                "timestamp": stamp,
-                "frame_id": "tool",
-                "pose": {"position": _named("xyz", np.zeros(3)), "orientation": _named("xyzw", np.eye(4)[3])},
-                "point_stride": 12,
-                "fields": [{"name": name, "offset": 4 * n, "type": FLOAT32} for n, name in enumerate("xyz")],
-                "data": _base64(points_m.tobytes()),
-            }
+            messages["/profile"] = _point_cloud(stamp, "tool", points_m.view(POINT).ravel())
         with writing(self._path):
             for topic, message in messages.items():
                 self._send(topic, message, ns)
@@ -224,8 +228,9 @@ class McapFile:
             self._send(topic, {"timestamp": _stamp(ns), **message}, ns, schema)
 
     def _begin(
-        self, camera: Camera, setups: Mapping[str, bytes], first_ns: int, metadata: dict[str, str]
+        self, setup: Setup, setups: Mapping[str, bytes], first_ns: int, metadata: dict[str, str]
     ) -> None:
+        camera = setup.camera
         self._writer.start(library="arctrack")
         self._writer.add_metadata("arctrack", metadata)
         for name, text in setups.items():
@@ -245,6 +250,8 @@ class McapFile:
         }
         self._send("/camera/calibration", calibration, first_ns)
         self._send("/tf", _transform(stamp, "tool", "camera", camera.T_tool_camera), first_ns)
+        if setup.profiler is not None:
+            self._send("/tf", _transform(stamp, "tool", "profile", setup.profiler.T_tool_profile), first_ns)
 
     def _ns(self, time_s: float) -> int:
         return round((time_s + self._late_s) * 1e9)
@@ -278,6 +285,32 @@ def _track(frame: Frame | None, seen: ReplayedFrame, true_mm: Float64 | None) ->
         "bus": on_bus(seen),
         **known,
         "checks": [_check(check) for check in seen.track.checks],
+    }
+
+
+def _profiler_points(profiler: Profiler, frame: Frame, view: ReplayView) -> npt.NDArray[np.void]:
+    """Return a point (columns,) a column in the profile's frame, m; its z is NaN where there is no height."""
+    codes, intensity = frame.image_dn
+    points = np.zeros(profiler.columns, PROFILER_POINT)
+    points["y"], points["z"] = M_PER_MM * profiler.y_mm, M_PER_MM * profiler.z_mm(codes)
+    points["intensity"], points["on_trace"] = intensity, np.isfinite(view.stripe_px).all(axis=1)
+    return points
+
+
+def _point_cloud(stamp: dict[str, int], frame_id: str, points: npt.NDArray[np.void]) -> dict[str, Any]:
+    """Return the message of points (n,) whose named fields are packed."""
+    fields = points.dtype.fields
+    assert fields is not None
+    return {
+        "timestamp": stamp,
+        "frame_id": frame_id,
+        "pose": {"position": _named("xyz", np.zeros(3)), "orientation": _named("xyzw", np.eye(4)[3])},
+        "point_stride": points.dtype.itemsize,
+        "fields": [
+            {"name": name, "offset": offset, "type": PACKED_TYPES[kind.str]}
+            for name, (kind, offset, *_) in fields.items()
+        ],
+        "data": _base64(points.tobytes()),
     }
 
 
