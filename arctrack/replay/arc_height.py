@@ -52,15 +52,13 @@ class ArcHeight:
     """The arc's output and height as seen in its light; NaN if unknown.
 
     `level` is the output over the expected one, `height_mm` the arc centre's distance above the stated one
-    along the tool's axis, each with 1 sigma. `chi2` is the residual per pixel over the expected one: 1 where
-    the map is as good as stated. `unknown` says why nothing is known, and is empty where it is.
+    along the tool's axis, each with 1 sigma. `unknown` says why nothing is known, and is empty where it is.
     """
 
     level: float = NAN
     level_sigma: float = NAN
     height_mm: float = NAN
     height_sigma_mm: float = NAN
-    chi2: float = NAN
     unknown: str = ""
 
 
@@ -245,4 +243,4 @@ def _fitted(
     # Largest sigma of a known height, mm: arcs are as long. An output is none without its height.
     if not height_sigma_mm < 2.0:
         return NOT_DETERMINED
-    return ArcHeight(level, level_sigma, height_mm, height_sigma_mm, chi2)
+    return ArcHeight(level, level_sigma, height_mm, height_sigma_mm)

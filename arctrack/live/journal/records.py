@@ -221,20 +221,17 @@ class Status:
 
 @dataclass(frozen=True)
 class GapReport:
-    """Verdict on whether the setup explains the latest frames, and the arc's state in them.
+    """Verdict on whether the setup explains the latest frames, and the arc's height in them.
 
     `time_s` is the time of the newest frame used. `is_gap` says that the arc map no longer explains the
     frames, since `since_wall_s` (time of day, NaN without a gap); `text` says what that looks like.
-    `arc_level` is the arc's output over the expected one, `arc_height_mm` the height of its centre above the
-    surface; both are NaN if unknown.
+    `arc_height_mm` is the height of the arc's centre above the surface, NaN if unknown.
     """
 
     time_s: float
     is_gap: bool
     text: str = ""
     since_wall_s: float = NAN
-    arc_level: float = NAN
-    arc_level_sigma: float = NAN
     arc_height_mm: float = NAN
     arc_height_sigma_mm: float = NAN
 

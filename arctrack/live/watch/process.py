@@ -208,8 +208,6 @@ class RunWatch:
             is_gap=watch.is_gap,
             text=self._text(),
             since_wall_s=watch.since_s + to_wall_s,
-            arc_level=height.level,
-            arc_level_sigma=height.level_sigma,
             arc_height_mm=arc_mm + height.height_mm,
             arc_height_sigma_mm=height.height_sigma_mm,
         )
