@@ -33,7 +33,7 @@ class Capture:
 
     `captured_s` is on the tracker's clock; `pose` is the tool's then, and may be refused; `robot` is the
     latest status, None before the first. Measurements from poses that are not trusted must not last.
-    `look_ahead` is that of the offset. Of a pass are the frames while the robot has armed the tracker.
+    `look_ahead` is that of the offset. Frames count for a pass while the robot has armed the tracker.
     """
 
     index: int

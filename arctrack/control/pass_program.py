@@ -43,7 +43,8 @@ class ProgramPoint(NamedTuple):
 def pass_program(job: CellJob, setup: Setup) -> list[ProgramPoint]:
     """Return the places of a job that follows an earlier pass, along its travel, one a millimetre.
 
-    `setup` is the cell's. Places past the nominal seam's ends are left out. Raises ArctrackError for a seam
+    `setup` is the cell's. Places are displaced as offsets are, by side, height and bias, but without limits.
+    Places past the nominal seam's ends are left out. Raises ArctrackError for a seam
     that is unusable and a weld schedule that is wrong.
     """
     again = job.again
@@ -64,7 +65,7 @@ def pass_program(job: CellJob, setup: Setup) -> list[ProgramPoint]:
         y_mm, z_mm = seam.displacement_mm
         z_mm += ridge_mm(station_mm, source.scene.shape.corrugation)
         T_base_joint = np.array(source.T_base_joint[segment])
-        place_mm = np.array([station_mm, y_mm + again.side_mm, z_mm + again.height_mm])
+        place_mm = np.array([station_mm, y_mm + job.correction.y.bias_mm, z_mm + job.correction.z.bias_mm])
         base_x, base_y, base_z = transform(T_base_joint, place_mm).tolist()
         qx, qy, qz, qw = (
             Rotation.from_matrix(T_base_joint[:3, :3] @ R_joint_tool).as_quat(canonical=True).tolist()
@@ -75,7 +76,7 @@ def pass_program(job: CellJob, setup: Setup) -> list[ProgramPoint]:
 
 
 def program_csv(points: Sequence[ProgramPoint]) -> str:
-    """Return a program as CSV; what is not known is empty."""
+    """Return a program as CSV; unknown values are empty."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(COLUMNS)

@@ -37,7 +37,7 @@ Chosen: at 50 mm/s and 25 frames a second there is a frame each 2 mm. A gap chan
 
 @dataclass
 class _Average:
-    """Weighted average of a station's measurements; of what was never measured it is NaN."""
+    """Weighted average of a station's measurements; NaN where there are none."""
 
     weight: float = 0.0
     total: Float64 = field(default_factory=lambda: np.zeros(1))

@@ -86,7 +86,7 @@ class SeamPasses:
         was_empty = self._recorder.is_empty
         self._recorder.add(frame)
         if was_empty and not self._recorder.is_empty and self._job.keep_seam is not None:
-            # Of a part that is not welded to its end there must be no seam of the part before.
+            # A pass that is cut short must not leave the seam of the part before.
             try:
                 self._job.keep_seam.unlink(missing_ok=True)
             except OSError as error:

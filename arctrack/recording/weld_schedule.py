@@ -32,7 +32,7 @@ class WeldValues(NamedTuple):
 
 
 NO_WELD = WeldValues()
-"""Nothing is stated of the weld."""
+"""Values where there is no schedule."""
 
 
 @dataclass(frozen=True, eq=False)

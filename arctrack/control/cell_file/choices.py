@@ -198,7 +198,7 @@ def _biased(axis: AxisCorrection, name: str, key: str, aside_mm: float) -> AxisC
 class CellJob:
     """A job of the cell file, as [jobs.N] states; `joint` is None where it is the setup's.
 
-    `correction` takes in by how far the pass lies displaced from the one that it follows again.
+    `correction` includes how far the pass lies off the one that it follows again.
     """
 
     name: str

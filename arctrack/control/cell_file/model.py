@@ -282,7 +282,7 @@ class AgainTable(Table):
         note="A robot comes back to 0.03 to 0.08; measure what the welding shrinks.",
     )
     max_age_s: Number = key(
-        "The oldest seam that a live run follows",
+        "The oldest seam with which a live pass begins",
         "s",
         default=AgainChoice.max_age_s,
         note="Another part may lie there by then.",
