@@ -113,7 +113,7 @@ def print_noise(n_frames: int, seed: int) -> None:
 def print_heights(n_scenes: int, seed: int, arc: str) -> None:
     """Estimate the height of arcs that stand off their place; print error, sigma and their ratio."""
     z, errors_mm, sigmas_mm, level_z = [], [], [], []
-    unknown = 0
+    unknown: Counter[str] = Counter()
     for scene in scenes(seed, n_scenes, 3, arc):
         draw, world = np.random.default_rng([scene.seed, 8]), world_of(scene)
         there = ArcDeparture(draw.uniform(-1.0, 2.0), *draw.normal(0.0, 0.3, 2), draw.normal(1.0, 0.05))
@@ -126,20 +126,18 @@ def print_heights(n_scenes: int, seed: int, arc: str) -> None:
             frame = Frame(n, 0.1 * n, image_dn, *light)
             track, reading = tracker.step(frame, Pose(T_base_tool)), tracker.reading
             height = (
-                ArcHeight()
+                ArcHeight(unknown="not_tracked")
                 if reading is None
                 else estimator.of_track(frame, Pose(T_base_tool), reading.seam, track)
             )
-            if math.isnan(height.height_sigma_mm):
-                unknown += 1
+            if height.unknown:
+                unknown[height.unknown] += 1
                 continue
             errors_mm.append(height.height_mm - there.height_mm)
             sigmas_mm.append(height.height_sigma_mm)
             z.append(errors_mm[-1] / sigmas_mm[-1])
             level_z.append((height.level - 1.0) / height.level_sigma)
-    print(
-        f"{len(z)} heights, {unknown} unknown: error median {np.median(np.abs(errors_mm)):.3f}, RMS ", end=""
-    )
+    print(f"{len(z)} heights, {dict(unknown)}: error median {np.median(np.abs(errors_mm)):.3f}, RMS ", end="")
     print(
         f"{np.sqrt(np.mean(np.square(errors_mm))):.3f} mm; sigma median {np.median(sigmas_mm):.3f} mm; ",
         end="",
