@@ -19,6 +19,9 @@ HEADER = struct.Struct("<8sQQq")
 
 BYTES_A_COLUMN = 6
 
+MAX_INTENSITY = 65_535
+"""Largest intensity: 16 bits."""
+
 
 class ProfileMessage(NamedTuple):
     """A profile as sent: its number, mid-exposure on the sensor's clock, ns, heights (n,), intensities (n,).
@@ -58,13 +61,15 @@ def pack_profile(number: int, time_ns: int, z_mm: Float64, intensity: Integers) 
     Raises
     ------
     ValueError
-        Heights and intensities are not of one length.
+        Heights and intensities are not of one length, or an intensity is out of its range.
     """
-    heights, intensities = np.asarray(z_mm, "<f4"), np.asarray(intensity, "<u2")
+    heights, intensities = np.asarray(z_mm, "<f4"), np.asarray(intensity)
     if heights.ndim != 1 or heights.shape != intensities.shape:
         raise ValueError(f"profile {number}: {heights.shape} heights, {intensities.shape} intensities")
+    if ((intensities < 0) | (intensities > MAX_INTENSITY)).any():
+        raise ValueError(f"profile {number}: an intensity is not within 0 to {MAX_INTENSITY}")
     header = HEADER.pack(MAGIC, len(heights), number, time_ns)
-    return header + heights.tobytes() + intensities.tobytes()
+    return header + heights.tobytes() + intensities.astype("<u2").tobytes()
 
 
 def take_profile(received: bytearray, columns: int) -> ProfileMessage | None:

@@ -101,6 +101,8 @@ def test_bytes_that_are_no_profile_are_refused_at_once() -> None:
         take_profile(bytearray(b"A?"), 5)
     with pytest.raises(ValueError, match="heights"):
         pack_profile(1, 0, np.zeros(4), np.zeros(5, np.uint16))
+    with pytest.raises(ValueError, match="within 0 to 65535"):
+        pack_profile(1, 0, np.zeros(2), np.array([0, 65_536]))
 
 
 def test_profiles_come_whole_and_on_the_hosts_clock(profiler: Profiler) -> None:
