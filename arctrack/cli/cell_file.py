@@ -11,8 +11,8 @@ from arctrack.cli.cell import cell
 from arctrack.cli.exit_codes import WARNED
 from arctrack.cli.inputs import check_can_be_replaced, look_at_cell
 from arctrack.cli.simulate import JointName, MaterialName
-from arctrack.errors import in_file
-from arctrack.output import check_new_folder, write_whole
+from arctrack.errors import ArctrackError, in_file
+from arctrack.output import check_new_folder, real, write_whole
 
 if TYPE_CHECKING:
     from arctrack.control.cell_file import CellFile, CellJob
@@ -81,6 +81,8 @@ def program(
     number = read.job_numbered(job)
     if read.jobs[number].again is None:
         raise in_file(file, f"[jobs.{number}.again]: missing; state the seam of the pass that it follows")
+    if real(out) in map(real, (read.path, read.setup.path, *read.files_read)):
+        raise ArctrackError(f"{out}: is of the cell itself; give --out another file")
     points = pass_program(read.jobs[number], read.setup.setup)
     if not points:
         raise in_file(file, f"[jobs.{number}.again] seam: lies past the ends of the job's nominal seam")

@@ -135,6 +135,15 @@ def test_a_job_without_an_earlier_pass_has_no_program(cell: Path, number: int, w
     assert not out.exists()
 
 
+@pytest.mark.parametrize("name", ["cell.toml", "setup.toml", "root.json", "schedule.csv"])
+def test_a_program_takes_no_place_of_a_file_of_the_cell(cell: Path, name: str) -> None:
+    out = cell.parent / name
+    before = out.read_bytes()
+    done = CliRunner().invoke(app, ["cell", "program", str(cell), "--job", "2", "--out", str(out)])
+    assert "is of the cell itself" in str(done.exception)
+    assert out.read_bytes() == before
+
+
 def test_a_black_box_has_the_pass_s_own_setup(cell: Path) -> None:
     read = read_cell_file(cell)
     for number in (2, 3):
