@@ -28,7 +28,11 @@ WINDOW_SIGMAS = 3.0
 MIN_PIXELS = 8
 
 OUTSHINES = 2.0
-"""A saturated pixel so many times as bright as the stripes there is another light's: its halo is no level."""
+"""A saturated pixel so many times as bright as the stripes there is another light's: its halo is no level.
+
+Chosen: a grain of speckle seldom is. From 1.5 to 4 the frames with glints and streaks that were looked at say
+the same.
+"""
 
 NEXT_TO_NOTHING = 0.1
 """Share of a sigma below which an error adds half a percent to it."""
