@@ -30,7 +30,7 @@ def profiles_of(folder: str) -> Profiles:
     for row, frame in zip(recording.rows, recording.frames(), strict=True):
         if isinstance(frame, arctrack.BadFrame):
             continue
-        codes, intensity = frame.image_dn
+        codes, intensity = frame.image_dn[:2]
         after_s = row.timestamp_s - recording.rows[0].timestamp_s
         profiles.append((after_s, profiler.z_mm(codes), intensity))
     return profiles

@@ -22,6 +22,9 @@ A reflective groove's profiles have 5 to 10 % and 3 to 6 %.
 """
 
 
+MAX_SLOPE = 4.0
+"""Steepest slope that a height's sigma grows with: upright edges have none that is lit."""
+
 MAX_STEPS, MET_MM = 100, 1e-9
 """Steps by which a column is met with a corrugation at most, and the last one's length.
 
@@ -81,20 +84,27 @@ def _is_lit(y_mm: Float64, z_mm: Float64, profiler: Profiler) -> Bool:
 
 
 def draw_profile(setup: Setup, scene: Scene, rng: np.random.Generator) -> Integers:
-    """Return a frame (2, columns) of a scene: heights with noise, dropouts and runs of false echoes."""
+    """Return a frame (2 or 3, columns) of a scene: heights with noise, dropouts and runs of false echoes."""
     assert setup.profiler is not None
     return spoilt_profile(setup.profiler, trace_heights(setup, scene), rng)
 
 
 def spoilt_profile(profiler: Profiler, trace_mm: Float64, rng: np.random.Generator) -> Integers:
-    """Return a frame (2, columns) of a surface's heights (columns,), mm, with noise, dropouts and echoes."""
+    """Return a frame (2 or 3, columns) of a surface's heights (columns,), mm, with noise, gaps and echoes.
+
+    Where a profile has sigmas, a height's grows with the surface's slope, as does the light's spot on it.
+    """
     n = profiler.columns
     white = rng.standard_normal(n + CORRELATED_COLUMNS - 1)
     noise = np.convolve(white, np.full(CORRELATED_COLUMNS, CORRELATED_COLUMNS**-0.5), "valid")
-    z_mm = trace_mm + (profiler.sigma_mm or NOISE_MM) * noise
+    sigma_mm = np.full(n, profiler.sigma_mm or NOISE_MM)
+    if profiler.point_sigma:
+        slope = np.nan_to_num(np.gradient(trace_mm, profiler.pitch_mm))
+        sigma_mm *= np.hypot(1.0, np.clip(slope, -MAX_SLOPE, MAX_SLOPE))
+    z_mm = trace_mm + sigma_mm * noise
     for share, is_echo in ((ECHO_SHARE, True), (DROPOUT_SHARE, False)):
         for start in rng.integers(0, n, rng.poisson(share * n / RUN_COLUMNS)):
             run = slice(start, start + 1 + rng.poisson(RUN_COLUMNS - 1))
             z_mm[run] = z_mm[run] + ECHO_MM * rng.standard_normal() if is_echo else np.nan
     intensity = np.where(np.isfinite(z_mm), 1000, 0).astype(np.uint16)
-    return np.stack([profiler.codes(z_mm), intensity])
+    return profiler.profile(z_mm, intensity, sigma_mm)

@@ -72,8 +72,10 @@ class Setup:
 
     @property
     def frame_shape(self) -> tuple[int, int]:
-        """A frame's shape: rows and columns of an image; codes and intensities of a profile."""
-        return (self.camera.height if self.profiler is None else 2), self.camera.width
+        """A frame's shape: rows and columns of an image; codes, intensities and sigmas of a profile."""
+        if self.profiler is None:
+            return self.camera.height, self.camera.width
+        return (3 if self.profiler.point_sigma else 2), self.profiler.columns
 
     @property
     def calibration_errors(self) -> CalibrationCovariance:

@@ -15,6 +15,7 @@ import numpy as np
 
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.compiled.median import numbers_for
+from noise_model.instrument.profiler import Profiler
 from tracker import checks
 from tracker.arc.burning import NO_EVIDENCE, ArcEvidence
 from tracker.arc.level import UNKNOWN, ArcLevel
@@ -114,11 +115,11 @@ def read_profile(given: FrameInput, aim: Aim) -> ProfileReading:
     expected_px = centre_px - off_expected_px(given.geometry, aim, centre_px)
     off_px = centre_px - expected_px
     near = np.flatnonzero(np.abs(off_px) < REACH_MM / profiler.pitch_mm)
-    own_px = own_sigma_px(
-        codes[0], profiler.sigma_mm / profiler.pitch_mm, profiler.step_mm / profiler.pitch_mm
-    )
+    own_px = own_sigmas_px(codes, profiler)
     before, frames = aim.scatter.average.numbers, aim.scatter.frames
-    step_px = math.hypot(own_px, math.sqrt(line_variance_px2(before)) if frames else _neighbours_px(off_px))
+    # The trace takes one sigma for all.
+    mean_px = math.sqrt(float(np.mean(own_px[near] ** 2))) if len(near) else 0.0
+    step_px = math.hypot(mean_px, math.sqrt(line_variance_px2(before)) if frames else _neighbours_px(off_px))
     on_trace = likeliest_trace(near.astype(np.float64), off_px[near], step_px)
     kept = near[on_trace]
     n = len(centre_px)
@@ -144,14 +145,12 @@ def read_profile(given: FrameInput, aim: Aim) -> ProfileReading:
     lines = np.full((N_ROWS, n), math.nan)
     lines[CENTRE_PX], lines[OWN_PX], lines[SCAN], lines[N_LINES] = fits[:, 0], own, np.arange(n), 1.0
     lines[BIAS_PX], lines[MISFIT_PX] = 0.0, 0.0
-    widen(after, own, ones, 0.0, lines[SIGMA_PX], lines[BESIDE_PX])
     left_out = lines.copy()
+    widen(after, own, ones, 0.0, lines[SIGMA_PX], lines[BESIDE_PX])
+    widen(after, own_px, ones, 0.0, left_out[SIGMA_PX], left_out[BESIDE_PX])
     left_out[CENTRE_PX] = math.nan
     others = near[~on_trace]
     left_out[CENTRE_PX, others] = centre_px[others]
-    if len(kept):
-        # All have one sigma.
-        left_out[SIGMA_PX], left_out[BESIDE_PX] = lines[SIGMA_PX, kept[0]], lines[BESIDE_PX, kept[0]]
     stripe = Stripe(
         position_px=lines[CENTRE_PX],
         sigma_px=lines[SIGMA_PX],
@@ -201,11 +200,15 @@ def faces_of_edges(corners_mm: Float64, y_mm: Float64) -> Iterator[Float64]:
             yield np.where(np.abs(away_mm) < SLACK_MM, corner[1] + slope * away_mm, math.nan)
 
 
-def own_sigma_px(codes: Integers, stated_px: float, step_px: float) -> float:
-    """Return 1 sigma of a height by itself: as stated, or by the steps in which a profile's heights come."""
+def own_sigmas_px(profile: Integers, profiler: Profiler) -> Float64:
+    """Return 1 sigma of each height (n,) by itself, px: as stated, at least that of the heights' steps."""
+    codes = profile[0]
     steps = np.diff(np.sort(codes[codes > 0]))
     apart = steps[steps > 0]
-    return max(stated_px, step_px * (float(apart.min()) if len(apart) else 1.0) / math.sqrt(12.0))
+    step_mm = profiler.step_mm * (float(apart.min()) if len(apart) else 1.0)
+    own_mm = profiler.own_sigmas_mm(profile)
+    own_mm[np.isnan(own_mm)] = profiler.sigma_mm
+    return np.maximum(own_mm, step_mm / math.sqrt(12.0)) / profiler.pitch_mm
 
 
 def _neighbours_px(off_px: Float64) -> float:

@@ -101,7 +101,7 @@ def frame_misfit(shape: tuple[int, ...], dtype: npt.DTypeLike, setup: Setup) -> 
     camera, sensor, wanted = setup.camera, setup.sensor, setup.frame_shape
     if setup.profiler is not None and (shape, np.dtype(dtype)) != (wanted, np.dtype(sensor.dtype)):
         held = " x ".join(map(str, shape))
-        return f"holds {held} {np.dtype(dtype)}: a profile of 2 x {camera.width} uint16 is needed"
+        return f"holds {held} {np.dtype(dtype)}: a profile of {wanted[0]} x {wanted[1]} uint16 is needed"
     if len(shape) == 3:
         colours = "is a colour picture" if shape[2] in (3, 4) else "has a third axis"
         return (

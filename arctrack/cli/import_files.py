@@ -58,7 +58,7 @@ def import_files(
         list[str] | None,
         typer.Option(
             help="KEY=VALUE of a profiler's files, CSV, PCD or MCAP: layout, topic, up_mm, across_mm, axes, "
-            "nothing, separator, decimal, zero, middle; repeat. What a file needs is asked for."
+            "sigma, nothing, separator, decimal, zero, middle; repeat. What a file needs is asked for."
         ),
     ] = None,
     bayer: Annotated[

@@ -194,6 +194,13 @@ class ProfilerTable(Table):
         default=0.0,
         bounds=Bounds(0.0, 10.0, "a height that is known worse shows no joint"),
     )
+    point_sigma: bool = key(
+        "Whether profiles have a third row, each height's own 1 sigma; `sigma_mm` holds where it is unknown",
+        "",
+        "",
+        "the sensor. True if its program gives a sigma of each point.",
+        default=False,
+    )
     exposure_s: Number = key(
         "The usual exposure", "s", "0.0001 to 0.01", "your choice. frames.csv states that of each frame."
     )

@@ -21,6 +21,9 @@ from noise_model.instrument.sensor import Sensor
 NOTHING, LAST_CODE = 0, 65535
 """The code of a column without a height, and the highest one."""
 
+SIGMA_STEP = 2.0**-20
+"""Share of the range that one code of a sigma is: a sixteenth of a height's code."""
+
 AWAY_MM = 100.0
 """Distance of the equivalent camera from the sheet: any one gives the same points."""
 
@@ -36,7 +39,9 @@ class Profiler:
     the height z = ((c - 1) / 65534 - 1/2) `range_mm`; `pitch_mm` parts the columns. The laser's window stands
     `stand_off_mm` over z = 0. `T_tool_profile` (4, 4), mm, is the pose of the profile's frame: y along the
     columns from their middle, z up, x along the sheet's normal. `sigma_mm` is a height's 1 sigma by itself:
-    what it scatters beyond is learned. Raises ValueError for a value out of its range; it names the key.
+    what it scatters beyond is learned. With `point_sigma` a profile has a third row, each height's own sigma:
+    code c is c / 2^20 of `range_mm`, 0 says that `sigma_mm` holds. Raises ValueError for a value out of its
+    range; it names the key.
     """
 
     columns: int
@@ -46,6 +51,7 @@ class Profiler:
     T_tool_profile: Float64
     sigma_mm: float = 0.0
     exposure_s: float = 0.001
+    point_sigma: bool = False
 
     def __post_init__(self) -> None:
         for name in ("pitch_mm", "range_mm", "stand_off_mm", "exposure_s"):
@@ -76,6 +82,26 @@ class Profiler:
         """Return the heights (n,) of codes (n,), mm, NaN where there is none."""
         z_mm = (codes - 1.0 - 0.5 * (LAST_CODE - 1)) * self.step_mm
         return np.where(codes == NOTHING, np.nan, z_mm)
+
+    def profile(self, z_mm: Float64, intensity: Float64 | Integers, sigma_mm: Float64 | None) -> Integers:
+        """Return the profile (2 or 3, columns) of heights, mm, intensities and sigmas (columns,), mm.
+
+        A sigma is NaN where it is not known. One above a sixteenth of the range counts as that.
+        """
+        codes = self.codes(z_mm)
+        rows = [codes, np.clip(np.rint(np.nan_to_num(intensity)), 0, LAST_CODE).astype(np.uint16)]
+        if self.point_sigma:
+            own_mm = np.full(self.columns, np.nan) if sigma_mm is None else sigma_mm
+            exact = np.rint(own_mm / (SIGMA_STEP * self.range_mm))
+            is_known = (codes > NOTHING) & np.isfinite(exact)
+            rows.append(np.where(is_known, np.clip(exact, 1, LAST_CODE), NOTHING).astype(np.uint16))
+        return np.stack(rows)
+
+    def own_sigmas_mm(self, profile: Integers) -> Float64:
+        """Return the sigmas (n,) that a profile (2 or 3, n) has for its heights, mm, NaN where unknown."""
+        if not self.point_sigma:
+            return np.full(self.columns, np.nan)
+        return np.where(profile[2] == NOTHING, np.nan, SIGMA_STEP * self.range_mm * profile[2])
 
     def rows_px(self, z_mm: Float64) -> Float64:
         """Return the rows (n,) of heights (n,) in the equivalent image, px."""

@@ -117,9 +117,11 @@ def read(path: Path, *options: str) -> list[ColumnProfile]:
 
 
 @pytest.mark.slow
-def test_a_replays_profiles_come_back_with_their_tracks(tmp_path: Path) -> None:
+@pytest.mark.parametrize("has_sigmas", [False, True])
+def test_a_replays_profiles_come_back_with_their_tracks(tmp_path: Path, has_sigmas: bool) -> None:
     setup, made, back = tmp_path / "recording.toml", tmp_path / "made", tmp_path / "back"
-    setup.write_text(profiler_setup(640, 0.06, range_mm=30.0, depth_mm=6.0, root_gap_mm=1.0))
+    text = profiler_setup(640, 0.06, range_mm=30.0, depth_mm=6.0, root_gap_mm=1.0)
+    setup.write_text(text.replace("columns =", "point_sigma = true\ncolumns =") if has_sigmas else text)
     run("simulate", made, "--setup", setup, "--frames", 4, "--production")
     run("replay", made, "--mcap", "--no-pictures")
     mcap = made / "results" / "replay.mcap"
@@ -133,6 +135,7 @@ def test_a_replays_profiles_come_back_with_their_tracks(tmp_path: Path) -> None:
         assert theirs.timestamp_s == pytest.approx(ours.timestamp_s, abs=1e-9)
         # Some columns have no height, and some an echo's.
         assert (ours.image_dn[0] == 0).any()
+        assert len(ours.image_dn) == (3 if has_sigmas else 2)
         np.testing.assert_array_equal(theirs.image_dn, ours.image_dn)
     run("replay", back, "--no-pictures")
     for row, again in zip(results_of(made / "results"), results_of(back / "results"), strict=True):
@@ -147,12 +150,13 @@ def test_a_replays_profiles_come_back_with_their_tracks(tmp_path: Path) -> None:
 )
 def test_point_clouds_of_ros_2(tmp_path: Path, written: dict[str, Any]) -> None:
     path = write_clouds(tmp_path / "scan.mcap", *(cloud(n, **written) for n in range(3)))
-    found = read(path, *M, "axes=x,y,z")
+    found = read(path, *M, "axes=x,y,z", "sigma=y")
     assert len(found) == 3
     for n, profile in enumerate(found):
         np.testing.assert_allclose(profile.z_mm, heights_mm(n), atol=1e-5)
         known = np.isfinite(profile.z_mm)
         np.testing.assert_array_equal(profile.intensity[known], 100 + n)
+        np.testing.assert_allclose(profile.sigma_mm[known], 7000.0)
         assert profile.time_s == pytest.approx(1_700_000_000 + 0.1 * n, abs=1e-6)
 
 

@@ -1,5 +1,6 @@
 """`arctrack import` of profilers' files: each layout gives its heights back, and nothing is guessed."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from typer.testing import CliRunner
 from arctrack.cli import app
 from arctrack.errors import ArctrackError
 from arctrack.recording import BadFrame, read_recording
-from arctrack.recording.importing.profile_files import on_columns, profiles_of
+from arctrack.recording.importing.profile_files import on_columns, profiles_of, write_frames
 from arctrack.recording.importing.profile_layout import ProfileLayout
 from noise_model.compiled.arrays import Float64
 from noise_model.instrument.profiler import Profiler
@@ -115,6 +116,33 @@ def test_clouds_part_where_the_travel_changes(
     options = ("layout=cloud", "axes=x,z,y", "up_mm=1", "across_mm=1")
     found = read(tmp_path_factory.mktemp("cloud") / "cloud.pcd", head + "\n".join(points) + "\n", *options)
     check(found, [list(row) for row in rows], 0.01)
+
+
+@pytest.mark.parametrize(("head", "name"), [("FIELDS x y z noise\nDATA ascii\n", "noise"), ("", "4")])
+def test_clouds_have_a_sigma_of_each_point(tmp_path: Path, head: str, name: str) -> None:
+    points = [f"{place:.6f} 1000 0 {n + 1}" for n, place in enumerate(profiler().y_mm)]
+    path, layout = tmp_path / "cloud.pcd", ("layout=cloud", "axes=x,z,y", "up_mm=-0.001", "across_mm=1")
+    path.write_text(("# .PCD v0.7\n" + head if head else "") + "\n".join(points) + "\n")
+    (found,) = profiles_of(path, ProfileLayout.of([*layout, f"sigma={name}"]), profiler())
+    np.testing.assert_allclose(found.sigma_mm, 0.001 * (1 + np.arange(COLUMNS)))
+    (without,) = profiles_of(path, ProfileLayout.of(layout), profiler())
+    assert np.isnan(without.sigma_mm).all()
+    with pytest.raises(ArctrackError, match="sigma=width: must be one of x, y, z"):
+        list(profiles_of(path, ProfileLayout.of([*layout, "sigma=width"]), profiler()))
+
+
+@pytest.mark.parametrize(
+    ("layout", "is_stated", "problem"),
+    [("rows", True, "layouts cloud and mcap have sigmas"), ("cloud", False, "state .* point_sigma = true")],
+)
+def test_sigmas_that_nothing_holds_are_refused(
+    tmp_path: Path, layout: str, is_stated: bool, problem: str
+) -> None:
+    sensor = replace(profiler(), point_sigma=is_stated)
+    with pytest.raises(ArctrackError, match=f"--profile sigma: {problem}"):
+        write_frames(
+            [tmp_path / "no.csv"], ProfileLayout.of([f"layout={layout}", "sigma=4"]), sensor, tmp_path
+        )
 
 
 @given(heights)

@@ -1,6 +1,7 @@
 """Seams from profiles: the trace among false echoes, and sections with noise, dropouts and echoes."""
 
 import math
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64
-from noise_model.drawn_profile import draw_profile, spoilt_profile
+from noise_model.drawn_profile import draw_profile, spoilt_profile, trace_heights
 from noise_model.instrument.profiler import SENSOR, Profiler
 from noise_model.setup import Setup
 from noise_model.setup_keys import Tolerance
@@ -146,6 +147,31 @@ def test_error_over_sigma_of_upright_edges(type_name: str) -> None:
     # Where few columns tell how often a sheet misses them, as of an edge, sigma is the wider.
     assert (error_over_sigma > 0.5).all()
     assert (error_over_sigma < 1.3).all()
+
+
+@pytest.mark.slow
+def test_sigmas_of_points_weigh_a_face_that_scatters_five_times_as_much() -> None:
+    figures = []
+    for point_sigma in (True, False):
+        setup, rng = setup_of("v_groove"), np.random.default_rng(1)
+        assert setup.profiler is not None
+        sensor = replace(setup.profiler, point_sigma=point_sigma)
+        tracker = Tracker(replace(setup, profiler=sensor))
+        trace_mm = trace_heights(setup, make_scene(setup, np.eye(4)))
+        sigma_mm = np.where(sensor.y_mm < 0.0, 0.05, 0.01)
+        errors_mm, sigmas_mm = [], []
+        for n in range(60):
+            z_mm = trace_mm + sigma_mm * rng.standard_normal(sensor.columns)
+            image = sensor.profile(z_mm, np.ones(sensor.columns), sigma_mm)
+            track = tracker.step(Frame(n, 0.1 * n, image, 0.001, arc_on=False), Pose(np.eye(4)))
+            assert track.valid
+            errors_mm.append(track.seam_tool_mm[1])
+            sigmas_mm.append(track.sigma_y_mm)
+        figures.append((np.std(errors_mm), np.std(errors_mm) / np.median(sigmas_mm)))
+    (own_mm, own_over_sigma), (one_mm, one_over_sigma) = figures
+    # One sigma for all is too small by a factor of three here; 60 errors scatter by 9 %.
+    assert own_over_sigma < 1.4 < 2.5 < one_over_sigma
+    assert own_mm < 0.7 * one_mm
 
 
 @pytest.mark.slow

@@ -72,7 +72,9 @@ def mcap_profiles(path: Path, layout: ProfileLayout) -> Iterator[RawProfile]:
             across, _, up = (names[place] for place in layout.axes(path, names))
             known = points[np.isfinite(points[across])].astype([(name, "f8") for name in names])
             intensity = known["intensity"] if "intensity" in names else None
-            yield RawProfile(known[across], known[up], intensity, seconds - late_s + 1e-9 * ns)
+            field = "sigma" if own is not None and "sigma" in names else layout.sigma_field(path, names)
+            sigma = None if field is None else known[field]
+            yield RawProfile(known[across], known[up], intensity, sigma, seconds - late_s + 1e-9 * ns)
         if n == 0:
             raise in_file(path, f"topic {topic} holds no message: choose another by --profile topic=…")
 

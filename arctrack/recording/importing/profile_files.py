@@ -36,13 +36,14 @@ is then off by a thousandth of a pitch at most.
 
 
 class ColumnProfile(NamedTuple):
-    """A profile on the profiler's columns: heights (columns,), mm, NaN for none, and intensities (columns,).
+    """A profile on the profiler's columns: heights, mm, NaN for none, intensities, and sigmas, mm (columns,).
 
-    Without intensities in the file these are 1; `time_s` is NaN where the file says none.
+    Without intensities in the file these are 1, without sigmas NaN; `time_s` is NaN where the file says none.
     """
 
     z_mm: Float64
     intensity: Float64
+    sigma_mm: Float64
     time_s: float
 
 
@@ -61,14 +62,18 @@ def write_frames(
     Raises ArctrackError for a file that cannot be read, for a key that is not stated, and where the heights
     lie outside the profiler's range.
     """
+    if "sigma" in layout.stated and not profiler.point_sigma:
+        raise ArctrackError(
+            "--profile sigma: state [camera] point_sigma = true in the setup, else leave it out"
+        )
+    if "sigma" in layout.stated and layout.stated.get("layout") not in ("cloud", MCAP):
+        raise ArctrackError("--profile sigma: layouts cloud and mcap have sigmas; leave it out")
     count, held, beyond, times_s = 0, 0, 0, []
     for source in sources:
-        for z_mm, intensity, time_s in profiles_of(source, layout, profiler):
-            codes = profiler.codes(z_mm)
-            held += int(np.count_nonzero(codes))
-            beyond += int(np.count_nonzero(np.isfinite(z_mm) & (codes == 0)))
-            intensity = np.clip(np.rint(np.where(codes > 0, np.nan_to_num(intensity), 0.0)), 0.0, 65535.0)
-            image = np.stack([codes, intensity.astype(np.uint16)])
+        for z_mm, intensity, sigma_mm, time_s in profiles_of(source, layout, profiler):
+            image = profiler.profile(z_mm, intensity, sigma_mm)
+            held += int(np.count_nonzero(image[0]))
+            beyond += int(np.count_nonzero(np.isfinite(z_mm) & (image[0] == 0)))
             png_path(folder, count).write_bytes(png.encode(image))
             times_s.append(time_s)
             count += 1
@@ -106,9 +111,10 @@ def profiles_of(path: Path, layout: ProfileLayout, profiler: Profiler) -> Iterat
     for raw in raws:
         up = np.where(raw.up == stated.nothing, np.nan, raw.up)
         intensity = np.ones(len(up)) if raw.intensity is None else raw.intensity
-        values = np.stack([(up - zero) * up_mm, intensity])
-        z_mm, intensity = on_columns((raw.across - middle) * across_mm, values, profiler)
-        yield ColumnProfile(z_mm, intensity, raw.time_s)
+        sigma = np.full(len(up), np.nan) if raw.sigma is None else raw.sigma * abs(up_mm)
+        values = np.stack([(up - zero) * up_mm, intensity, sigma])
+        z_mm, intensity, sigma_mm = on_columns((raw.across - middle) * across_mm, values, profiler)
+        yield ColumnProfile(z_mm, intensity, sigma_mm, raw.time_s)
 
 
 def on_columns(y_mm: Float64, values: Float64, profiler: Profiler) -> Float64:
@@ -130,7 +136,9 @@ def on_columns(y_mm: Float64, values: Float64, profiler: Profiler) -> Float64:
     is_own = np.abs(share - near) * span <= SAME * profiler.pitch_mm
     share = np.where(is_own, near, share)
     is_between = (share >= 0.0) & (share <= 1.0) & (is_own | (span <= GAP * pitch_mm))
-    return np.where(is_between, (1.0 - share) * held[:, after - 1] + share * held[:, after], np.nan)
+    left, right = held[:, after - 1], held[:, after]
+    mixed = np.where(share == 0.0, left, np.where(share == 1.0, right, (1.0 - share) * left + share * right))
+    return np.where(is_between, mixed, np.nan)
 
 
 def _cells(path: Path, layout: ProfileLayout, lines: Sequence[str], first: int) -> Iterator[Float64]:
@@ -187,17 +195,19 @@ def _cloud(path: Path, text: str, layout: ProfileLayout) -> Iterator[RawProfile]
         raise in_file(
             path, "is a PCD whose data are not ascii: convert it, as by pcl_convert_pcd_ascii_binary"
         )
-    names = fields or ("x", "y", "z")
     try:
         points = np.loadtxt(io.StringIO(body or text), ndmin=2)
     except ValueError as error:
         raise in_file(path, f"is no cloud of points: {error}") from None
+    names = fields or ("x", "y", "z", *map(str, range(4, points.shape[1] + 1)))
     if points.shape[1] < len(names):
         raise in_file(path, f"has {points.shape[1]} numbers a point, {len(names)} are needed")
     across, along, up = layout.axes(path, names)
     starts = np.flatnonzero(np.diff(points[:, along])) + 1
+    field = layout.sigma_field(path, names)
     for part in np.split(points, starts):
-        yield RawProfile(part[:, across], part[:, up])
+        sigma = None if field is None else part[:, list(names).index(field)]
+        yield RawProfile(part[:, across], part[:, up], sigma=sigma)
 
 
 def _gocator(path: Path, text: str, layout: ProfileLayout) -> Iterator[RawProfile]:

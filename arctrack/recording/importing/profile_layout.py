@@ -18,6 +18,8 @@ KEYS = {
     "up_mm": "mm of a height's unit, negative where a larger value is farther from the sensor",
     "across_mm": "mm of a place's unit, or the pitch of columns without places; negative to mirror",
     "axes": "names across, along and up, such as x,z,y; blocks are x, y, z in their order",
+    "sigma": "the name of the points' 1 sigma, in the heights' unit, among the fields of a cloud or message; "
+    "4, 5, … in plain columns",
     "nothing": "the value without a height, empty for cells without a value",
     "separator": "what parts the cells: comma, semicolon, tab or blank",
     "decimal": "the decimal mark: point or comma",
@@ -30,12 +32,13 @@ KEYS = {
 class RawProfile(NamedTuple):
     """Points of a profile in the file's units: places (n,), and heights (n,), NaN for none.
 
-    `intensity` (n,) is None where the file has none, `time_s` NaN.
+    `intensity` and `sigma` (n,), in the heights' unit, are None where the file has none, `time_s` is NaN.
     """
 
     across: Float64
     up: Float64
     intensity: Float64 | None = None
+    sigma: Float64 | None = None
     time_s: float = math.nan
 
 
@@ -90,6 +93,13 @@ class ProfileLayout:
         """The value without a height, NaN where none is stated."""
         text = self.stated.get("nothing", "empty")
         return math.nan if text == "empty" else self.number("nothing", text)
+
+    def sigma_field(self, path: Path, names: Sequence[str]) -> str | None:
+        """Return the name of the points' sigma among some names, None where it is not stated."""
+        stated = self.stated.get("sigma")
+        if stated is not None and stated not in names:
+            raise in_file(path, f"--profile sigma={stated}: must be one of {', '.join(names)}")
+        return stated
 
     def axes(self, path: Path, names: Sequence[str]) -> tuple[int, int, int]:
         """Return the places of the axes across, along and up among some names."""

@@ -139,7 +139,7 @@ PACKED_TYPES = {"|u1": 1, "<u2": 3, "<f4": 7}
 """Foxglove's numbers for the types of packed numbers."""
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
-PROFILER_POINT = np.dtype([*POINT.descr, ("intensity", "<u2"), ("on_trace", "u1")])
+PROFILER_POINT = np.dtype([*POINT.descr, ("sigma", "<f4"), ("intensity", "<u2"), ("on_trace", "u1")])
 """A point that was read in an image, and a profiler's point, marked if it is on the surface's trace."""
 
 M_PER_MM = 1e-3
@@ -289,10 +289,11 @@ def _track(frame: Frame | None, seen: ReplayedFrame, true_mm: Float64 | None) ->
 
 
 def _profiler_points(profiler: Profiler, frame: Frame, view: ReplayView) -> npt.NDArray[np.void]:
-    """Return a point (columns,) a column in the profile's frame, m; its z is NaN where there is no height."""
-    codes, intensity = frame.image_dn
+    """Return a point (columns,) a column in the profile's frame, m; z and its sigma are NaN where unknown."""
+    codes, intensity = frame.image_dn[:2]
     points = np.zeros(profiler.columns, PROFILER_POINT)
     points["y"], points["z"] = M_PER_MM * profiler.y_mm, M_PER_MM * profiler.z_mm(codes)
+    points["sigma"] = M_PER_MM * profiler.own_sigmas_mm(frame.image_dn)
     points["intensity"], points["on_trace"] = intensity, np.isfinite(view.stripe_px).all(axis=1)
     return points
 

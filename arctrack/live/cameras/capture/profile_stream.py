@@ -7,8 +7,6 @@ anything but profiles of the setup's columns raises, and is connected to anew.
 import socket
 import time
 
-import numpy as np
-
 from arctrack.errors import ArctrackError
 from arctrack.live.cameras.capture.device_clock import DeviceClock
 from arctrack.live.cameras.capture.source import LONGEST_WAIT_S, Ask
@@ -60,7 +58,9 @@ class ProfileStream:
         self._first = message.number if self._latest < 0 else self._first
         self._latest = message.number
         middle_s = self._clock.host_s(1e-9 * message.time_ns, time.monotonic())
-        image_dn = np.stack([self._profiler.codes(message.z_mm), message.intensity])
+        if message.sigma_mm is not None and not self._profiler.point_sigma:
+            raise self._failed("gives sigmas: state [camera] point_sigma = true in the setup, or send none")
+        image_dn = self._profiler.profile(message.z_mm, message.intensity, message.sigma_mm)
         index = message.number - self._first
         return Frame(index, middle_s, image_dn, self._profiler.exposure_s, arc_on=False)
 

@@ -18,12 +18,13 @@ from arctrack.live.cameras.profile_message import pack_profile
 PERIOD_S = 0.01
 
 
-def message(n: int, columns: int) -> bytes:
+def message(n: int, columns: int, has_sigmas: bool = False) -> bytes:
     z_mm = n + 0.001 * np.arange(columns)
     z_mm[3] = np.nan
     # Its clock began long ago, and the sensor had taken a thousand profiles before.
     time_ns = time.monotonic_ns() + 10**15
-    return pack_profile(1000 + n, time_ns, z_mm, np.full(columns, n, np.uint16))
+    sigma_mm = 0.001 * (1.0 + np.arange(columns)) if has_sigmas else None
+    return pack_profile(1000 + n, time_ns, z_mm, np.full(columns, n, np.uint16), sigma_mm)
 
 
 def act(connection: socket.socket, name: str, n_good: int, columns: int) -> None:
@@ -45,6 +46,9 @@ def act(connection: socket.socket, name: str, n_good: int, columns: int) -> None
         connection.recv(1)
     elif name == "babbles":
         connection.sendall(b"HTTP/1.1 200 OK\r\n")
+        connection.recv(1)
+    elif name == "has_sigmas":
+        connection.sendall(message(n_good, columns, has_sigmas=True))
         connection.recv(1)
     elif name == "repeats":
         connection.sendall(message(n_good - 1, columns))

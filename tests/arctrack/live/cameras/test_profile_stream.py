@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,13 +77,15 @@ def frames_until_failure(stream: ProfileStream) -> tuple[list[Frame], str]:
 @given(
     st.integers(0, 2**63),
     st.lists(st.tuples(st.floats(width=32, allow_infinity=False), st.integers(0, 65535)), max_size=20),
-    st.integers(0, 200),
+    st.integers(0, 300),
+    st.booleans(),
 )
 def test_a_profile_comes_out_as_it_went_in_however_it_is_cut(
-    number: int, points: list[tuple[float, int]], cut: int
+    number: int, points: list[tuple[float, int]], cut: int, has_sigmas: bool
 ) -> None:
     z_mm, intensity = np.array([z for z, _ in points]), np.array([i for _, i in points], np.uint16)
-    sent = pack_profile(number, -7, z_mm, intensity) + b"ATP"
+    sigma_mm = 0.5 * z_mm if has_sigmas and len(points) else None
+    sent = pack_profile(number, -7, z_mm, intensity, sigma_mm) + b"ATP"
     received = bytearray(sent[:cut])
     first = take_profile(received, len(points))
     received += sent[cut:]
@@ -91,6 +94,10 @@ def test_a_profile_comes_out_as_it_went_in_however_it_is_cut(
     assert (profile.number, profile.time_ns, bytes(received)) == (number, -7, b"ATP")
     np.testing.assert_array_equal(profile.z_mm, z_mm)
     np.testing.assert_array_equal(profile.intensity, intensity)
+    if sigma_mm is None:
+        assert profile.sigma_mm is None
+    else:
+        np.testing.assert_array_equal(profile.sigma_mm, sigma_mm.astype(np.float32))
 
 
 def test_bytes_that_are_no_profile_are_refused_at_once() -> None:
@@ -103,6 +110,8 @@ def test_bytes_that_are_no_profile_are_refused_at_once() -> None:
         pack_profile(1, 0, np.zeros(4), np.zeros(5, np.uint16))
     with pytest.raises(ValueError, match="within 0 to 65535"):
         pack_profile(1, 0, np.zeros(2), np.array([0, 65_536]))
+    with pytest.raises(ValueError, match="sigmas"):
+        pack_profile(1, 0, np.zeros(4), np.zeros(4, np.uint16), np.zeros(5))
 
 
 def test_profiles_come_whole_and_on_the_hosts_clock(profiler: Profiler) -> None:
@@ -123,9 +132,26 @@ def test_profiles_come_whole_and_on_the_hosts_clock(profiler: Profiler) -> None:
     assert (np.diff([frame.timestamp_s for frame in frames]) > 0.0).all()
 
 
+def test_sigmas_of_points_are_in_the_frame(profiler: Profiler) -> None:
+    measured = replace(profiler, point_sigma=True)
+    with peer("has_sigmas:0") as name:
+        stream = ProfileStream(name, measured)
+        stream.begin()
+        frame = None
+        while frame is None:
+            frame = stream.read()
+        stream.close()
+    sigma_mm = 0.001 * (1.0 + np.arange(COLUMNS))
+    # Column 3 has no height.
+    sigma_mm[3] = np.nan
+    assert frame.image_dn.shape == (3, COLUMNS)
+    np.testing.assert_allclose(measured.own_sigmas_mm(frame.image_dn), sigma_mm, atol=2e-5)
+
+
 @pytest.mark.parametrize(
     ("act", "problem"),
     [
+        ("has_sigmas:2", "gives sigmas: state [camera] point_sigma = true in the setup, or send none"),
         ("breaks:2", "the sensor's program closed the connection"),
         ("narrows:2", "gives 63 columns, the setup's [camera] states columns = 64"),
         ("babbles:2", "gives no profile: a message begins with b'HTTP/1.1'"),
