@@ -304,7 +304,7 @@ class JobTable(Table):
     keep_seam: str | None = key(
         "The file that keeps the pass's seam, from this file on, for a job that follows it again",
         default=None,
-        example='"root.json"',
+        example='"kept.json"',
         min_length=1,
     )
     schedule: str | None = key(

@@ -142,7 +142,7 @@ class ShownRun:
     def report_gap(self, name: str, text: str) -> None:
         """Let a gap watch say what it sees."""
         self.gaps = RingWriter(gap_name(name), 4, 4096)
-        report = GapReport(0.0, True, text, time.time() - 60.0, 0.93, 0.01, 2.61, 0.04)
+        report = GapReport(0.0, True, text, time.time() - 60.0, 2.61, 0.04)
         self.gaps.write(pack(report))
 
     def _write(self) -> None:

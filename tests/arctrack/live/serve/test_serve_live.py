@@ -277,8 +277,8 @@ def _check_replays(saved: Path) -> None:
 
 
 def told(row: dict[str, str]) -> dict[str, str]:
-    """Return what a row says of the track."""
-    return {name: cell for name, cell in row.items() if not name.startswith(("run_", *SENT))}
+    """Return what a row says of the track; a live run estimates no height of the arc."""
+    return {name: cell for name, cell in row.items() if not name.startswith(("run_", "arc_height", *SENT))}
 
 
 def _check_offsets(ear: Ear) -> None:
