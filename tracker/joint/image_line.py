@@ -365,10 +365,7 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
     if line < 2 * half or line + 2 * half >= n:
         return None
     section = sums.along[slope, line - half : line + half + 1]
-    x = np.arange(-math.floor(2.0 * sums.width), math.floor(2.0 * sums.width) + 1)
-    lines = np.arange(n)
-    away = sums.slopes[slope] * sums.offsets_px + sums.bends
-    shown = [np.interp(line + off + x, lines, white) for off, white in zip(away, sums.white, strict=True)]
+    shown = _along(sums, sums.white, slope, line, math.floor(2.0 * sums.width))
     middle, own_variance = _middle(np.nansum(shown, axis=0) / math.sqrt(len(shown)))
     fitted = [
         piece
@@ -394,6 +391,16 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
         weights = np.maximum(1.0 - (off / (BISQUARE_WIDTH * scale)) ** 2, 0.0) ** 2
     variance = scale**2 * float(np.linalg.inv(H)[0, 0]) + own_variance
     return line + float(p[0]) + middle, math.sqrt(variance)
+
+
+def _along(
+    sums: _Sums, light: Float64, slope: int, line: int, reach: int, columns: Int64 | slice = slice(None)
+) -> Float64:
+    """Return columns of a light (m, n_scan) along a line and beside it, (k, 2 reach + 1)."""
+    away, lines = sums.slopes[slope] * sums.offsets_px + sums.bends, np.arange(light.shape[1])
+    x = line + np.arange(-reach, reach + 1)
+    pairs = zip(away[columns], light[columns], strict=True)
+    return np.array([np.interp(x + off, lines, column) for off, column in pairs])
 
 
 def _middle(section: Float64) -> tuple[float, float]:
@@ -424,12 +431,7 @@ def _piece(
     None where the piece does not show the line.
     """
     half = len(section) // 2
-    x = np.arange(-2 * half, 2 * half + 1)
-    lines = np.arange(sums.read.shape[1])
-    light, away = np.zeros(len(x)), sums.slopes[slope] * sums.offsets_px + sums.bends
-    for j in columns:
-        light += np.interp(line + away[j] + x, lines, sums.read[j])
-    light /= math.sqrt(len(columns))
+    light = _along(sums, sums.read, slope, line, 2 * half, columns).sum(axis=0) / math.sqrt(len(columns))
     expected = section * math.sqrt(len(columns) / len(sums.offsets_px))
     fit = np.correlate(light, expected, "valid")
     best = int(fit.argmax())
