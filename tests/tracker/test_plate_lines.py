@@ -21,6 +21,8 @@ from tracker.joint.plate_lines import (
     best_place,
     end_between,
     end_by_shares,
+    excess_e,
+    is_outshone,
     lines_read,
     plate_lines,
     vote,
@@ -180,6 +182,17 @@ def test_glints_on_either_side_of_a_stripe_hide_where_its_plate_ends(off_px: flo
         end = end_between(lines, section.light, 0.0, 2.5, False)
         assert abs(end.y_mm - last_mm) < 2.0 * math.sqrt(end.variance_mm2)
         assert math.isnan(end_by_shares(lines, section.light, end, False, 12).y_mm)
+
+
+def test_lines_beyond_the_image_hold_no_light() -> None:
+    """An edge joint's are asked there, too."""
+    light = light_of(np.random.default_rng(1), EDGE, EDGE + 14)
+    light.censored[:] = True
+    assert is_outshone(light, EDGE, 40.0, 5.0, 1.0)
+    assert excess_e(light, EDGE - 5, 40.0) > 0.0
+    for scan in (-20, -1, N_SCAN, N_SCAN + 20):
+        assert not is_outshone(light, scan, 40.0, 5.0, 1.0)
+        assert math.isnan(excess_e(light, scan, 40.0))
 
 
 @pytest.mark.parametrize(

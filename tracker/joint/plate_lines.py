@@ -209,17 +209,17 @@ def weigh_by_light(lines: PlateLines, light: StripeLight, image: StripeImage) ->
     if image.image_dn.shape[0] == 0 or plates.lines.shape[0] == 0:
         return
     width_px = usual_width(plates.width_px)
-    share, off, of_plates, n_known = np.empty(n), np.empty(n), np.empty(n), 0
+    path_px, share, off, of_plates, n_known = np.empty(n), np.empty(n), np.empty(n), np.empty(n), 0
     excess, of_lit = np.empty(n), np.empty(n)
     for line in range(n):
-        scan = lines.away * (lines.first_scan + line)
-        path_px, other_px = interpolated(float(line), plates.lines, plates.position_px), math.nan
-        if lines.sees[line] == -1.0 and light.position_px[scan] != path_px:
+        scan, other_px = lines.away * (lines.first_scan + line), math.nan
+        path_px[line] = interpolated(float(line), plates.lines, plates.position_px)
+        if lines.sees[line] == -1.0 and light.position_px[scan] != path_px[line]:
             other_px = light.position_px[scan]
-        share[line], off[line] = stripe_dn(image, scan, path_px, width_px, other_px)
-        if abs(other_px - path_px) > MERGED_SIGMAS * width_px:
+        share[line], off[line] = stripe_dn(image, scan, path_px[line], width_px, other_px)
+        if abs(other_px - path_px[line]) > MERGED_SIGMAS * width_px:
             off[line] = 0.0
-        excess[line] = excess_e(light, scan, path_px)
+        excess[line] = excess_e(light, scan, path_px[line])
         if lines.sees[line] > 0.0 and not math.isnan(share[line]):
             of_plates[n_known], of_lit[n_known] = share[line], excess[line]
             n_known += 1
@@ -229,8 +229,7 @@ def weigh_by_light(lines: PlateLines, light: StripeLight, image: StripeImage) ->
     max_share = 1.0 + BRIGHT_SIGMAS * max(MAD_SIGMA * scatter, MIN_CONTRAST)
     outshone, reach = np.zeros(n, np.bool_), clear_of_an_edge(light)
     for line in range(n):
-        path_px = interpolated(float(line), plates.lines, plates.position_px)
-        if is_outshone(light, lines.away * (lines.first_scan + line), path_px, width_px, usual_e):
+        if is_outshone(light, lines.away * (lines.first_scan + line), path_px[line], width_px, usual_e):
             outshone[max(line - reach, 0) : line + reach + 1] = True
     for line in range(n):
         lines.sees[line] = vote(
@@ -242,7 +241,12 @@ def weigh_by_light(lines: PlateLines, light: StripeLight, image: StripeImage) ->
 
 @kernel
 def excess_e(light: StripeLight, scan: int, path_px: float) -> float:
-    """Return the light over the background at a place of a scan line, e-, the mean of three pixels."""
+    """Return the light over the background at a place of a scan line, e-, the mean of three pixels.
+
+    NaN outside the band: lines beyond the image are asked, too.
+    """
+    if not 0 <= scan < light.charge_e.shape[0]:
+        return math.nan
     i = round(path_px) - light.lows[scan // CELL]
     if not 1 <= i < light.charge_e.shape[1] - 1:
         return math.nan
@@ -255,15 +259,14 @@ def excess_e(light: StripeLight, scan: int, path_px: float) -> float:
 @kernel
 def is_outshone(light: StripeLight, scan: int, path_px: float, width_px: float, usual_e: float) -> bool:
     """Return True if a pixel is saturated that a stripe there, of so much light, would not light half."""
+    if not 0 <= scan < light.charge_e.shape[0]:
+        return False
     low, half = light.lows[scan // CELL], WINDOW_SIGMAS * width_px
     begin = max(math.floor(path_px - half) - low, 0)
     for j in range(begin, min(math.ceil(path_px + half) - low + 1, light.charge_e.shape[1])):
         t = (j + low - path_px) / width_px
-        own_e = usual_e * math.exp(-0.5 * t * t)
-        if (
-            light.censored[scan, j]
-            and light.charge_e[scan, j] - light.background_e[scan, j] > OUTSHINES * own_e
-        ):
+        lit_e = light.charge_e[scan, j] - light.background_e[scan, j]
+        if light.censored[scan, j] and lit_e > OUTSHINES * usual_e * math.exp(-0.5 * t * t):
             return True
     return False
 
