@@ -1,7 +1,7 @@
 """Verdict of a run, in a line: offsets sent, valid frames, why not more, what most likely is wrong."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from arctrack.check.check_sample import case_of
 from arctrack.check.fit import ENOUGH
@@ -146,10 +146,9 @@ def verdict_of(
     invalidating = {flag.name for flag in flags.FLAGS if flag.invalidates}
     named = sorted((name for name in counts if name in invalidating), key=lambda name: -counts[name])
     shown = {name: counts[name] for name in named}
-    is_blind = shown.get(flags.LASER_OFF.name) == len(lit)
-    is_wrong = (is_few(valid, len(lit), offsets) and not is_blind) or seam.is_beyond_search
-    hint = seek() if is_wrong else None
-    return RunVerdict(frames, len(lit), valid, shown, hint, offsets, faults(reasons), seam=seam)
+    verdict = RunVerdict(frames, len(lit), valid, shown, None, offsets, faults(reasons), seam=seam)
+    is_wrong = (is_few(valid, len(lit), offsets) and not verdict.is_blind) or seam.is_beyond_search
+    return replace(verdict, hint=seek()) if is_wrong else verdict
 
 
 def _hint_for(recording: Recording) -> Hint | None:
