@@ -61,6 +61,7 @@ MISSING = {
     "calibrate sheet": ["nowhere"],
     "cell new": ["taken"],
     "cell check": ["nowhere"],
+    "cell program": ["nowhere", "--out", "places.csv"],
 }
 """What each command may be given that is not there, or that is there already."""
 
