@@ -109,7 +109,7 @@ def test_a_robot_follows_profiles_over_tcp_and_gets_nothing_of_a_stalled_stream(
             connections = sender.connections
             ear.listen(lambda: sender.connections > connections)
             sender.is_held = False
-            ear.listen(lambda: len(ear.valid()) >= before + 5)
+            ear.listen(lambda: len(ear.valid()) >= before + 20)
             ear.listen(ear.is_usable)
 
             process.send_signal(signal.SIGUSR1)
@@ -125,7 +125,8 @@ def test_a_robot_follows_profiles_over_tcp_and_gets_nothing_of_a_stalled_stream(
             process.communicate()
             sender.close()
         samples = robot.stop()
-    assert min(off_mm for _, off_mm in samples) < 0.1
+    # It began 3 mm beside the seam, and was taken there.
+    assert min(off_mm for _, off_mm in samples) < 0.2
     (saved,) = boxes.glob("*_asked_by_SIGUSR1")
     _check_replays(saved)
     (run,) = (cell.parent / "runs").glob("*.mcap")
