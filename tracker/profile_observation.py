@@ -117,10 +117,8 @@ def read_profile(given: FrameInput, aim: Aim) -> ProfileReading:
     near = np.flatnonzero(np.abs(off_px) < REACH_MM / profiler.pitch_mm)
     own_px = own_sigmas_px(codes, profiler)
     before, frames = aim.scatter.average.numbers, aim.scatter.frames
-    # The trace takes one sigma for all.
-    mean_px = math.sqrt(float(np.mean(own_px[near] ** 2))) if len(near) else 0.0
-    step_px = math.hypot(mean_px, math.sqrt(line_variance_px2(before)) if frames else _neighbours_px(off_px))
-    on_trace = likeliest_trace(near.astype(np.float64), off_px[near], step_px)
+    scatter_px2 = line_variance_px2(before) if frames else _neighbours_px(off_px) ** 2
+    on_trace = likeliest_trace(near.astype(np.float64), off_px[near], own_px[near] ** 2 + scatter_px2)
     kept = near[on_trace]
     n = len(centre_px)
     fits = np.full((n, N_FITTED), math.nan)

@@ -55,11 +55,11 @@ def setup_of(type_name: str, columns: int = 1280, pitch_mm: float = 0.03, **size
     )
 
 
-def cost_of(chosen: tuple[bool, ...], scan: Float64, off_px: Float64, sigma_px: float) -> float:
+def cost_of(chosen: tuple[bool, ...], scan: Float64, off_px: Float64, variance_px2: Float64) -> float:
     """Return the cost of a choice of points by its definition, point by point."""
 
     def follows(n: int, last: int) -> float:
-        variance = 2.0 * sigma_px**2 + (TURN * (scan[n] - scan[last])) ** 2
+        variance = variance_px2[n] + variance_px2[last] + (TURN * (scan[n] - scan[last])) ** 2
         return float(0.5 * (off_px[n] - off_px[last]) ** 2 / variance)
 
     cost, last, run = 0.0, -1, False
@@ -75,13 +75,14 @@ def cost_of(chosen: tuple[bool, ...], scan: Float64, off_px: Float64, sigma_px: 
 @given(st.lists(st.sampled_from([0.0, 0.5, -0.7, 12.0, 13.0, -9.0]), min_size=1, max_size=9))
 def test_trace_is_the_likeliest_of_all_choices(off: list[float]) -> None:
     off_px, scan = np.array(off), np.cumsum(np.arange(len(off)) % 3 + 1.0)
+    variance_px2 = 0.1 + 0.3 * (np.arange(len(off)) % 4)
     best = min(
-        cost_of(chosen, scan, off_px, 0.5)
+        cost_of(chosen, scan, off_px, variance_px2)
         for chosen in product([False, True], repeat=len(off))
         if any(chosen)
     )
-    found = tuple(likeliest_trace(scan, off_px, 0.5).tolist())
-    assert cost_of(found, scan, off_px, 0.5) == pytest.approx(best)
+    found = tuple(likeliest_trace(scan, off_px, variance_px2).tolist())
+    assert cost_of(found, scan, off_px, variance_px2) == pytest.approx(best)
 
 
 def test_runs_of_echoes_on_either_side_are_left_out() -> None:
@@ -91,14 +92,23 @@ def test_runs_of_echoes_on_either_side_are_left_out() -> None:
     for start, away in ((50, 40.0), (200, -60.0), (210, 90.0), (400, 30.0)):
         off_px[start : start + 10] += away
         is_echo[start : start + 10] = True
-    on_trace = likeliest_trace(np.arange(600.0), off_px, 1.0)
+    on_trace = likeliest_trace(np.arange(600.0), off_px, np.ones(600))
     assert not on_trace[is_echo].any()
     assert on_trace[~is_echo].mean() > 0.9
 
 
+def test_points_that_are_known_worse_stay_on_the_trace() -> None:
+    sigma_px = np.where(np.arange(600) % 40 < 10, 8.0, 0.5)
+    off_px = np.random.default_rng(0).normal(0.0, sigma_px)
+    on_trace = likeliest_trace(np.arange(600.0), off_px, sigma_px**2)
+    assert on_trace.mean() > 0.9
+    # With one sigma for all they are echoes.
+    assert likeliest_trace(np.arange(600.0), off_px, np.full(600, 0.25)).mean() < 0.9
+
+
 def test_an_upright_edge_stays_on_the_trace() -> None:
     off_px = np.where(np.arange(400) < 200, 0.0, 100.0) + np.random.default_rng(0).normal(0.0, 1.0, 400)
-    on_trace = likeliest_trace(np.arange(400.0), off_px, 1.0)
+    on_trace = likeliest_trace(np.arange(400.0), off_px, np.ones(400))
     assert min(on_trace[:200].mean(), on_trace[200:].mean()) > 0.8
 
 
