@@ -3,10 +3,10 @@
 A column shows the face that it lies on, or misses it: by a dropout, a false echo, a rim that lies off both.
 Columns miss in runs, so each face is a Markov chain of two states with rates of its own, and an edge is where
 the rates and the heights change (Gilbert 1960, Bell System Technical Journal 39, 1253). The rates are
-integrated out with Jeffreys' prior: of a transitions of one kind and b of the other the likelihood is
-B(a + 1/2, b + 1/2) / B(1/2, 1/2). So between the last column that shows the one face and the first that shows
-the other all places are as likely where both miss alike. A face that misses nothing ends where it is last
-seen. Columns that the edge hides miss for sure, and what lies behind them begins anew.
+integrated out with Jeffreys' prior (Krichevsky and Trofimov 1981, IEEE Transactions on Information Theory 27,
+199). So between the last column that shows the one face and the first that shows the other all places are as
+likely where both miss alike. A face that misses nothing ends where it is last seen. Columns that the edge
+hides miss for sure, and what lies behind them begins anew.
 """
 
 from __future__ import annotations
@@ -25,9 +25,6 @@ STEPS = 4
 
 WIDTH_SIGMAS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """The widths of a hidden strip that are tried, in its sigmas."""
-
-SHOWS, STARTS, ENDS, GOES_ON = range(4)
-"""The transitions of a chain: show to show, show to miss, miss to show, miss to miss."""
 
 
 class FaceChange(NamedTuple):
@@ -53,24 +50,16 @@ class Columns(NamedTuple):
 
 
 @kernel
-def _ln_beta(a: float, b: float) -> float:
-    """Return ln B(a + 1/2, b + 1/2)."""
-    return math.lgamma(a + 0.5) + math.lgamma(b + 0.5) - math.lgamma(a + b + 1.0)
+def transition_nats(counts: Float64, was_seen: bool, is_seen: bool) -> float:
+    """Count the transition from a column to the next one, and return its likelihood, nats.
 
-
-@kernel
-def ln_chain(counts: Float64) -> float:
-    """Return the likelihood, nats, of a chain's transitions (4,) with its rates integrated out."""
-    shown: float = _ln_beta(counts[SHOWS], counts[STARTS])
-    return shown + float(_ln_beta(counts[ENDS], counts[GOES_ON]))
-
-
-@kernel
-def transition(was_seen: bool, is_seen: bool) -> int:
-    """Return the transition from a column to the next one."""
-    if was_seen:
-        return SHOWS if is_seen else STARTS
-    return ENDS if is_seen else GOES_ON
+    It is the one that `counts` (2, 2), of what was seen by what is, give it before: of n from the same state
+    a of them its like (a + 1/2) / (n + 1), the chain's rates being integrated out.
+    """
+    was, now = int(was_seen), int(is_seen)
+    nats = math.log((counts[was, now] + 0.5) / (counts[was, 0] + counts[was, 1] + 1.0))
+    counts[was, now] += 1.0
+    return nats
 
 
 @kernel(allocates=True)
@@ -84,23 +73,18 @@ def change_of_faces(columns: Columns, hidden_mm: float, hidden_sigma_mm: float) 
     # Of the first k columns: their cost before, and how many show a face; of those from k on: their cost.
     costs, shown, ln_before = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)
     behind, ln_behind, ln_anew = np.zeros(n + 1), np.zeros(n + 1), np.zeros(n + 1)
-    counts = np.zeros(4)
+    counts = np.zeros((2, 2))
     for k in range(n):
-        if k > 0:
-            counts[transition(seen[k - 1], seen[k])] += 1
         costs[k + 1] = costs[k] + (columns.off_before[k] if seen[k] else 0.0)
         shown[k + 1] = shown[k] + (1.0 if seen[k] else 0.0)
-        ln_before[k + 1] = ln_chain(counts)
-    counts[:] = 0
-    empty: float = ln_chain(counts)
-    ln_behind[n], ln_anew[n] = empty, empty
+        ln_before[k + 1] = ln_before[k] + (transition_nats(counts, seen[k - 1], seen[k]) if k > 0 else 0.0)
+    counts[:] = 0.0
     for k in range(n - 1, 0, -1):
         behind[k] = behind[k + 1] + (columns.off_behind[k] if seen[k] else 0.0)
         n_seen = shown[n] - shown[k]
         share = (n_seen if seen[k] else n - k - n_seen) + 0.5
-        ln_anew[k] = ln_chain(counts) + math.log(share / (n - k + 1.0))
-        counts[transition(seen[k - 1], seen[k])] += 1
-        ln_behind[k] = ln_chain(counts)
+        ln_anew[k] = ln_behind[k + 1] + math.log(share / (n - k + 1.0))
+        ln_behind[k] = ln_behind[k + 1] + transition_nats(counts, seen[k - 1], seen[k])
     n_widths = len(WIDTH_SIGMAS) if hidden_sigma_mm > 0.0 else 1
     step_mm, start_mm = columns.pitch_mm / STEPS, columns.before_mm[0]
     n_steps = max(int((columns.before_mm[n - 1] - start_mm) / step_mm), 1)
