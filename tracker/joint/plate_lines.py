@@ -14,7 +14,7 @@ from noise_model.compiled.median import exact_median
 from noise_model.compiled.ordering import stable_order
 from noise_model.robust import MAD_SIGMA
 from tracker.joint.evidence import RUN_PRIOR, gap_evidence_nats
-from tracker.joint.face_change import ENDS, GOES_ON, Columns, change_of_faces, ln_chain, transition
+from tracker.joint.face_change import Columns, change_of_faces, transition_nats
 from tracker.joint.measured import OFF_SIGMAS, OnFace
 from tracker.profile import Section
 from tracker.state import N_LINES, SCAN
@@ -355,22 +355,23 @@ def stripe_dn(
     return common / own, math.sqrt(max(residual_2 / free, CODE_VARIANCE) / own)
 
 
-@kernel
+@kernel(allocates=True)
 def best_place(lines: PlateLines, plate_mm: float, gap_mm: float, ends: bool) -> float:
     """Return the place at which two plates of a width with a gap agree best, NaN if nowhere enough."""
     plate = max(round(plate_mm / lines.column_mm), 0)
     gap = max(round(gap_mm / lines.column_mm), 0)
     outside = round(OUTSIDE_MM / lines.column_mm) if ends else 0
-    n = 2 * (outside + plate) + gap
+    n, n_lines = 2 * (outside + plate) + gap, lines.sees.shape[0]
+    # Of the first k lines.
+    votes, cast = np.zeros(n_lines + 1), np.zeros(n_lines + 1)
+    for k in range(n_lines):
+        votes[k + 1], cast[k + 1] = votes[k] + lines.sees[k], cast[k] + abs(lines.sees[k])
     best, highest = -1, -math.inf
-    for k in range(lines.sees.shape[0] - n + 1):
-        votes, agreed = 0.0, 0.0
-        for i in range(n):
-            from_end = min(i, n - 1 - i)
-            is_plate = outside <= from_end < outside + plate
-            votes += abs(lines.sees[k + i])
-            agreed += lines.sees[k + i] if is_plate else -lines.sees[k + i]
-        agreement = agreed / max(votes, 1.0)
+    for k in range(n_lines - n + 1):
+        right, left = k + outside, k + n - outside
+        for_plates = votes[right + plate] - votes[right] + votes[left] - votes[left - plate]
+        agreed = 2.0 * for_plates - (votes[k + n] - votes[k])
+        agreement = agreed / max(cast[k + n] - cast[k], 1.0)
         if agreement > highest:
             best, highest = k, agreement
     # By what share of the scan lines those that show what the joint would must outnumber the others.
@@ -546,9 +547,8 @@ def evidence_of_sheets(
     """
     n, nats = lines.sees.shape[0], 0.0
     seen = lines.sees > 0.0
-    of_sheets, of_all = np.zeros(4), np.zeros(4)
-    for counts in (of_sheets, of_all):
-        counts[GOES_ON], counts[ENDS] = RUN_PRIOR
+    of_sheets, of_all = np.zeros((2, 2)), np.zeros((2, 2))
+    of_sheets[0], of_all[0] = RUN_PRIOR, RUN_PRIOR
     last = -1
     for i in range(n):
         scan, off_mm = lines.away * (lines.first_scan + i), abs(lines.y_mm[i] - middle_mm)
@@ -560,7 +560,8 @@ def evidence_of_sheets(
             nats -= 0.5 * OFF_SIGMAS * OFF_SIGMAS
         # Over the slack at an outer end nothing is asked.
         if is_asked and last >= 0:
-            of_all[transition(seen[last], seen[i])] += 1
-            of_sheets[transition(seen[last], seen[i])] += is_sheet
+            nats -= transition_nats(of_all, seen[last], seen[i])
+            if is_sheet:
+                nats += transition_nats(of_sheets, seen[last], seen[i])
         last = i if is_asked else last
-    return nats + ln_chain(of_sheets) - ln_chain(of_all)
+    return nats
