@@ -321,6 +321,11 @@ def test_an_end_is_its_twin(
     assert end_sigma == pytest.approx(math.hypot(math.sqrt(excess) * deviation, MIN_SIGMA), rel=0.2)
 
 
+def test_no_end_lies_between_bounds_that_are_crossed() -> None:
+    read = LineShares(np.linspace(1.0, 0.0, 9), np.full(9, 1e-3), 0.1, 0.0, 0.0, 1.0)
+    assert np.isnan(fit_end(read, 5.0, 3.0)).all()
+
+
 NO_CHANGE = EdgeScatter(0.0, 0.0)
 
 

@@ -312,8 +312,11 @@ def fit_end(read: LineShares, earliest: float, latest: float) -> tuple[float, fl
 
     It is the mean and the deviation of the posterior, each place between `earliest` and `latest` as likely
     before. NaN where fewer than MIN_LINES tell it, where they tell little beyond these bounds, and where they
-    tell a place outside.
+    tell a place outside. There is none between bounds that are crossed: an edge askew puts one plate before
+    the other's end.
     """
+    if not earliest < latest:
+        return math.nan, math.nan
     best, min_misfit = math.nan, math.inf
     n_places = int((latest - earliest) / SEARCH_STEP) + 3
     misfits = np.empty(n_places)
