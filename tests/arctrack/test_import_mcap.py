@@ -101,9 +101,11 @@ def cloud(n: int, order: str = "<", height: int = 1, padding: int = 0) -> dict[s
     }
 
 
-def write_clouds(path: Path, *clouds: dict[str, Any], topics: tuple[str, ...] = ("/scan",)) -> Path:
+def write_clouds(
+    path: Path, *clouds: dict[str, Any], topics: tuple[str, ...] = ("/scan",), chunk_bytes: int = 1 << 20
+) -> Path:
     with path.open("wb") as file:
-        writer = ros2_writer.Writer(file)
+        writer = ros2_writer.Writer(file, chunk_size=chunk_bytes)
         schema = writer.register_msgdef("sensor_msgs/msg/PointCloud2", POINT_CLOUD_2)
         for topic in topics:
             for n, message in enumerate(clouds):
@@ -237,6 +239,18 @@ def test_a_pose_of_the_points_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(ArctrackError, match="message 1 of topic /profile: its points have a pose"):
         read(path, *M, "axes=x,y,z")
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7, 0.999])
+def test_of_a_file_that_was_broken_off_what_is_whole_is_read(tmp_path: Path, share: float) -> None:
+    path = write_clouds(tmp_path / "run.mcap", *(cloud(n % 8) for n in range(40)), chunk_bytes=2000)
+    whole, content = read(path, *M, "axes=x,y,z"), path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    left = read(path, *M, "axes=x,y,z")
+    assert 0.5 * share * len(whole) < len(left) <= len(whole)
+    for ours, theirs in zip(left, whole, strict=False):
+        np.testing.assert_array_equal(ours.z_mm, theirs.z_mm)
+        assert ours.time_s == theirs.time_s
 
 
 @pytest.mark.parametrize("damage", ["empty", "text", "cut", "flipped", "gone"])

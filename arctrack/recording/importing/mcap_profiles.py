@@ -3,17 +3,16 @@
 import base64
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from mcap.reader import McapReader, make_reader
-from mcap.records import Schema
+from mcap.records import Channel, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import MAGIC_SIZE, StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
-from arctrack.errors import ArctrackError, in_file
+from arctrack.errors import in_file
 from arctrack.limits import LIMITS
 from arctrack.recording.files import blamed_on, open_file
 from arctrack.recording.importing.profile_layout import ProfileLayout, RawProfile
@@ -47,8 +46,7 @@ Decoder = Callable[[bytes], PointMessage]
 
 def known_keys(path: Path) -> Mapping[str, str]:
     """Return the keys of --profile that a file need not be asked for: those of arctrack's own."""
-    with _opened(path) as reader:
-        return {} if _own_metadata(reader) is None else OWN_KEYS
+    return {} if _own_metadata(path) is None else OWN_KEYS
 
 
 def mcap_profiles(path: Path, layout: ProfileLayout) -> Iterator[RawProfile]:
@@ -56,58 +54,75 @@ def mcap_profiles(path: Path, layout: ProfileLayout) -> Iterator[RawProfile]:
 
     Times in a file that arctrack wrote are those of the recording or run. ArctrackError names the topic.
     """
-    with _opened(path) as reader:
-        own = _own_metadata(reader)
-        late_s = 0.0 if own is None else float(own["seconds_later"])
-        topic, decode = _topic(path, layout, reader)
-        n = 0
-        for n, (_, _, message) in enumerate(reader.iter_messages(topics=[topic]), 1):
-            try:
-                points, frame, (seconds, ns) = decode(message.data)
-            except ValueError as error:
-                raise in_file(path, f"message {n} of topic {topic}: {error}") from None
-            if own is not None and frame != OWN_FRAME:
-                raise in_file(path, f"topic {topic} holds what was read in images: import the images instead")
-            names = points.dtype.names or ()
-            across, _, up = (names[place] for place in layout.axes(path, names))
-            known = points[np.isfinite(points[across])].astype([(name, "f8") for name in names])
-            intensity = known["intensity"] if "intensity" in names else None
-            field = "sigma" if own is not None and "sigma" in names else layout.sigma_field(path, names)
-            sigma = None if field is None else known[field]
-            yield RawProfile(known[across], known[up], intensity, sigma, seconds - late_s + 1e-9 * ns)
-        if n == 0:
-            raise in_file(path, f"topic {topic} holds no message: choose another by --profile topic=…")
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[McapReader]:
-    """Open a file for its reader; whatever its bytes make of it is an ArctrackError."""
-    with blamed_on(path), open_file(path, LIMITS.log_bytes) as file:
+    own = _own_metadata(path)
+    late_s = 0.0 if own is None else float(own["seconds_later"])
+    topic, decode, channels = _topic(path, layout)
+    messages = (each for each in _records(path) if isinstance(each, Message) and each.channel_id in channels)
+    n = 0
+    for n, message in enumerate(messages, 1):
         try:
-            yield make_reader(file)
-        except (ArctrackError, OSError):
-            raise
-        # Damaged bytes make errors of any kind in the decompression and the decoding.
-        except Exception as error:
-            reason = str(error) or type(error).__name__
-            cure = "mend that of a run that was broken off by `mcap recover`"
-            raise in_file(path, f"is no whole MCAP file ({reason}): {cure}") from None
+            points, frame, (seconds, ns) = decode(message.data)
+        except ValueError as error:
+            raise in_file(path, f"message {n} of topic {topic}: {error}") from None
+        if own is not None and frame != OWN_FRAME:
+            raise in_file(path, f"topic {topic} holds what was read in images: import the images instead")
+        names = points.dtype.names or ()
+        across, _, up = (names[place] for place in layout.axes(path, names))
+        known = points[np.isfinite(points[across])].astype([(name, "f8") for name in names])
+        intensity = known["intensity"] if "intensity" in names else None
+        field = "sigma" if own is not None and "sigma" in names else layout.sigma_field(path, names)
+        sigma = None if field is None else known[field]
+        yield RawProfile(known[across], known[up], intensity, sigma, seconds - late_s + 1e-9 * ns)
+    if n == 0:
+        raise in_file(path, f"topic {topic} holds no message: choose another by --profile topic=…")
 
 
-def _own_metadata(reader: McapReader) -> Mapping[str, str] | None:
-    return next((each.metadata for each in reader.iter_metadata() if each.name == OWN_METADATA), None)
+def _records(path: Path) -> Iterator[McapRecord]:
+    """Yield a file's records in order, as many as are whole of one that was broken off.
+
+    Whatever its bytes make of it else is an ArctrackError.
+    """
+    with blamed_on(path), open_file(path, LIMITS.log_bytes) as file:
+        records = iter(StreamReader(file).records)
+        while True:
+            try:
+                record = next(records, None)
+            except OSError:
+                raise
+            # Damaged bytes make errors of any kind in the decompression and the decoding.
+            except Exception as error:
+                if file.tell() > MAGIC_SIZE and not file.read(1):
+                    return
+                raise in_file(path, f"is damaged, or no MCAP file: {error or type(error).__name__}") from None
+            if record is None:
+                return
+            yield record
 
 
-def _topic(path: Path, layout: ProfileLayout, reader: McapReader) -> tuple[str, Decoder]:
-    """Return the topic that is stated, or the only one that has point clouds, and its messages' decoder."""
-    summary = reader.get_summary()
-    if summary is None:
-        raise in_file(path, "has no summary, as of a run that was broken off: mend it by `mcap recover`")
-    decoders = {
-        channel.topic: decoder
-        for channel in summary.channels.values()
-        if (decoder := _decoder(channel.message_encoding, summary.schemas.get(channel.schema_id))) is not None
-    }
+def _own_metadata(path: Path) -> Mapping[str, str] | None:
+    """Return what arctrack says of a file that it wrote, None of another's; it stands before the messages."""
+    for record in _records(path):
+        if isinstance(record, Metadata) and record.name == OWN_METADATA:
+            metadata: Mapping[str, str] = record.metadata
+            return metadata
+        if isinstance(record, Message):
+            break
+    return None
+
+
+def _topic(path: Path, layout: ProfileLayout) -> tuple[str, Decoder, set[int]]:
+    """Return the topic that is stated, or the only one that has point clouds, its decoder and channels."""
+    schemas: dict[int, Schema] = {}
+    decoders: dict[str, Decoder] = {}
+    channels: dict[str, set[int]] = {}
+    for record in _records(path):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        if isinstance(record, Channel):
+            decoder = _decoder(record.message_encoding, schemas.get(record.schema_id))
+            if decoder is not None:
+                decoders[record.topic] = decoder
+                channels.setdefault(record.topic, set()).add(record.id)
     if not decoders:
         kinds = "sensor_msgs/msg/PointCloud2 in CDR with ros2msg, foxglove.PointCloud in JSON"
         raise in_file(path, f"has no topic of point clouds that are read: {kinds}")
@@ -115,7 +130,7 @@ def _topic(path: Path, layout: ProfileLayout, reader: McapReader) -> tuple[str, 
     if topic is None or topic not in decoders:
         problem = "has several topics of point clouds" if topic is None else f"has no point clouds of {topic}"
         raise in_file(path, f"{problem}: give --profile topic= one of {', '.join(sorted(decoders))}")
-    return topic, decoders[topic]
+    return topic, decoders[topic], channels[topic]
 
 
 def _decoder(encoding: str, schema: Schema | None) -> Decoder | None:
