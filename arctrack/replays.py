@@ -17,7 +17,7 @@ import arctrack
 from arctrack.check.hint import Hint
 from arctrack.check.seam_place import UNKNOWN_PLACE, SeamPlace
 from arctrack.check.verdict import RunVerdict, verdict_on
-from arctrack.errors import ArctrackError
+from arctrack.errors import ArctrackError, in_file
 from arctrack.limits import LIMITS
 from arctrack.offset_count import OffsetCount
 from arctrack.output import folders_for, real, write_whole
@@ -236,10 +236,18 @@ def jobs_for(
     resume: bool = False,
     cores: int = 1,
 ) -> list[ReplayJob]:
-    """Return the replays to run; ArctrackError if two recordings would share a folder of results."""
+    """Return the replays to run; ArctrackError if two would share a folder of results, or a seam's file."""
     folders = folders_for(recordings, out, RESULTS_FOLDER, "its results would replace others")
+    options = options or ReplayOptions()
+    if options.cell is not None and len(recordings) > 1:
+        number = options.cell.job_numbered(options.job_number)
+        if options.cell.jobs[number].keep_seam is not None:
+            raise in_file(
+                options.cell.path,
+                f"[jobs.{number}] keep_seam: keeps one recording's seam; replay one at a time",
+            )
     return [
-        ReplayJob(path, folder, setup_path, options or ReplayOptions(), resume, cores)
+        ReplayJob(path, folder, setup_path, options, resume, cores)
         for path, folder in zip(recordings, folders, strict=True)
     ]
 

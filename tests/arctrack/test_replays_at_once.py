@@ -86,3 +86,18 @@ def test_what_does_not_go_together_is_refused(
     assert isinstance(result.exception, ArctrackError)
     assert str(result.exception) == problem
     assert not (tmp_path / "a" / "results").exists()
+
+
+def test_several_recordings_keep_no_seam_in_one_file(recording: Path, tmp_path: Path) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_text(
+        f'format = "arctrack-cell/1"\nsetup = "{recording / "recording.toml"}"\n'
+        '[bus]\ninterface = "virtual"\nchannel = "c"\n[camera]\nframe_rate_hz = 25.0\n'
+        '[jobs.1]\nname = "root"\nkeep_seam = "root.json"\n'
+    )
+    result = run(*copies(recording, tmp_path, "a", "b"), "--cell", cell)
+    assert isinstance(result.exception, ArctrackError)
+    assert str(result.exception) == (
+        f"{cell}: [jobs.1] keep_seam: keeps one recording's seam; replay one at a time"
+    )
+    assert not (tmp_path / "a" / "results").exists()
