@@ -12,7 +12,7 @@ from click.testing import Result
 from hand_eye_scenes import HELD, T_HOLDER_CAMERA, TRUE_LENS, board_in_camera, off, shown
 from scipy.spatial.transform import Rotation
 
-from arctrack.calibrate.hand_eye.stage import hand_eye_record
+from arctrack.calibrate.hand_eye.stage import LOOKS_UP, hand_eye_record
 from arctrack.recording import read_setup_file, with_calibrated
 from calibration.camera.known_lens import board_poses
 from calibration.hand_eye_boards.calibrate import calibrate_hand_eye
@@ -84,6 +84,23 @@ def test_boards_and_poses_become_a_camera(images: Path, setup_toml: Path, tmp_pa
     assert page.count('src="data:image') == 4
     assert "board_5.png: has no pose" in page
     assert "the lens counts as exact" not in page
+
+
+def test_poses_of_a_flange_with_z_into_the_part_need_the_tool(
+    images: Path, setup_toml: Path, tmp_path: Path
+) -> None:
+    T_tool_flange = np.diag([1.0, -1.0, -1.0, 1.0])
+    T_tool_flange[2, 3] = 200.0
+    path = write(tmp_path / "poses.csv", poses() @ T_tool_flange)
+    words = (images, *BOARD, "--poses", path, "--rotation", "kuka", "--setup", setup_toml)
+    assert refusal(calibrate(*words)) == f"{path}: {LOOKS_UP}"
+    with setup_toml.open("a") as file:
+        file.write("\n[robot.controllertool_to_tool]\ntranslation_mm = [0.0, 0.0, 200.0]\n")
+        file.write("quaternion_xyzw = [1.0, 0.0, 0.0, 0.0]\n")
+    result = calibrate(*words)
+    assert result.exit_code == 0, result.output
+    camera = read_setup_file(setup_toml).setup.camera
+    assert np.abs(off(camera.T_tool_camera)[3:]).max() < 1.0
 
 
 def test_a_camera_that_stands_still_is_kept_apart(setup_toml: Path) -> None:

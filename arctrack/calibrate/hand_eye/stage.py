@@ -74,6 +74,11 @@ CHECK = (
     "check how rotations are written (--rotation), units, which pose is of which image, and the squares' side"
 )
 
+LOOKS_UP = (
+    "the camera looks up in the poses' own frame, as in that of a flange or a tool with z into the part: "
+    "state what lies between that and arctrack's tool in [robot.controllertool_to_tool] of the setup"
+)
+
 
 def hand_eye_stage(
     sources: Sequence[Path],
@@ -86,8 +91,8 @@ def hand_eye_stage(
 ) -> CalibrationStage[HandEyeCalibration]:
     """Find the camera's pose in the tool; in base if the camera stands still and the robot carries the board.
 
-    ArctrackError where the poses do not determine the camera, with the motion that is missing, or contradict
-    the boards.
+    ArctrackError where the poses do not determine the camera, with the motion that is missing, contradict
+    the boards, or are of a frame whose z points into the part.
     """
     posed = read_posed_boards(sources, board, stated, source, steps("looking for the board", "images"))
     warn(posed.warnings)
@@ -112,6 +117,9 @@ def hand_eye_stage(
         if isinstance(error, InconsistentError):
             raise in_file(source.path, f"{error}: {fits if meanings else CHECK}") from None
         raise in_file(source.path, fits if meanings else str(error)) from None
+    # The camera's view goes along the third axis.
+    if not is_eye_to_hand and result.T_holder_camera[2, 2] >= 0.0:
+        raise in_file(source.path, LOOKS_UP)
     if result.no_joints is not None:
         warn([f"{source.path}: its joint angles are not used: {result.no_joints}"])
     warn(left_out(result.left_out))
