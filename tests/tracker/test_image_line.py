@@ -319,3 +319,12 @@ def test_a_stripe_of_hardly_any_sure_lines_places_no_line(bench: Bench, lines: i
     path_px = np.full(len(bench.path_px), np.nan)
     path_px[:lines] = bench.path_px[:lines]
     assert bench._replace(path_px=path_px).read(image) is None
+
+
+def test_a_wide_stripe_leaves_few_columns_beside_it(bench: Bench) -> None:
+    """So many that there are fewer than pieces, and at last none."""
+    image = plate(bench, np.random.default_rng(4)) + drawn(bench, 0.5, 1.0, math.inf, 40.0)
+    read = [bench._replace(sigma_px=sigma_px).read(image) for sigma_px in np.arange(1.0, 60.0, 0.1)]
+    assert read[0] is not None
+    assert read[0].y_mm == pytest.approx(0.5, abs=0.1)
+    assert read[-1] is None

@@ -367,9 +367,10 @@ def _crossing(sums: _Sums, slope: int, line: int) -> tuple[float, float] | None:
     section = sums.along[slope, line - half : line + half + 1]
     shown = _along(sums, sums.white, slope, line, math.floor(2.0 * sums.width))
     middle, own_variance = _middle(np.nansum(shown, axis=0) / math.sqrt(len(shown)))
+    n_columns = len(sums.offsets_px)
     fitted = [
         piece
-        for columns in np.array_split(np.arange(len(sums.offsets_px)), N_PIECES)
+        for columns in np.array_split(np.arange(n_columns), min(N_PIECES, n_columns))
         if (piece := _piece(sums, columns, slope, line, section)) is not None
     ]
     if len(fitted) < MIN_PIECES:
