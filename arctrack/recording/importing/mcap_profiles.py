@@ -83,20 +83,16 @@ def _records(path: Path) -> Iterator[McapRecord]:
     Whatever its bytes make of it else is an ArctrackError.
     """
     with blamed_on(path), open_file(path, LIMITS.log_bytes) as file:
-        records = iter(StreamReader(file).records)
-        while True:
-            try:
-                record = next(records, None)
-            except OSError:
-                raise
-            # Damaged bytes make errors of any kind in the decompression and the decoding.
-            except Exception as error:
-                if file.tell() > MAGIC_SIZE and not file.read(1):
-                    return
-                raise in_file(path, f"is damaged, or no MCAP file: {error or type(error).__name__}") from None
-            if record is None:
-                return
-            yield record
+        try:
+            yield from StreamReader(file).records
+        except OSError:
+            raise
+        # Damaged bytes make errors of any kind in the decompression and the decoding.
+        except Exception as error:
+            # A file that was broken off ends amid a record.
+            if file.tell() <= MAGIC_SIZE or file.read(1):
+                reason = str(error) or type(error).__name__
+                raise in_file(path, f"is damaged, or no MCAP file: {reason}") from None
 
 
 def _own_metadata(path: Path) -> Mapping[str, str] | None:
