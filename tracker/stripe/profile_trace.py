@@ -4,8 +4,8 @@ A column has one height or none. On reflective faces some are of light that came
 lie together in runs, on either side of the trace. A hidden Markov chain says how likely a choice is. A point
 follows the one before on the trace with a normal error, up to an upright edge, which is rare. An echo follows
 the echo before as closely, or begins anew. The likeliest chain is found exactly, by dynamic programming over
-the pairs of points that follow each other on the trace. Pairs with echoes between are looked at only where
-no point so far back can be too dear a beginning.
+the pairs of points that follow each other on the trace. Where points lie between, the search goes back as far
+as the least cost of any trace up to there can still beat the best one found.
 """
 
 from __future__ import annotations
