@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from noise_model.compiled.arrays import Float32
+from noise_model.compiled.arrays import Float32, Float64
 from noise_model.condition import Condition
 from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
@@ -52,18 +52,33 @@ def _dirty_window(light: Light, view: View, condition: Condition, values: Values
     light.spread(passed, scattered, view.mean)
 
 
+def incidence_on_filter(xy: Float32 | Float64, values: Values) -> Float64:
+    """Return sin(theta) (...,) of rays (..., 2), (x, y, 1), on a filter that leans by `filter_shift`'s tilts.
+
+    The filter's normal is the optical axis, leant to the right and down in the image.
+    """
+    right, down = (math.tan(math.radians(values[name])) for name in ("tilt_right_deg", "tilt_down_deg"))
+    x, y = np.moveaxis(np.asarray(xy, dtype=np.float64), -1, 0)
+    # |ray x normal|: a cosine would lose small angles.
+    across = np.hypot(np.hypot(x - right, y - down), x * down - y * right)
+    return np.asarray(across / np.sqrt((1.0 + x**2 + y**2) * (1.0 + right**2 + down**2)))
+
+
 def _filter_shift(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
     of_filter = view.setup.stated_filter
     # lambda_theta depends on sin^2(theta) / n_eff^2 alone: a share of the shift is another index.
-    share = values["shift_share"]
     shifted = replace(of_filter, effective_index=1.0)
-    sin = math.sqrt(share) / of_filter.effective_index * np.sin(view.theta)
+    per_sin = math.sqrt(values["shift_share"]) / of_filter.effective_index
     # The largest sin(theta) / n_eff: beyond no share of the shift goes.
-    angle = np.arcsin(np.minimum(sin, 0.99))
-    laser = laser_transmission(shifted, view.setup.laser.wavelength_nm, angle)
-    on_axis = passed_continuum(shifted, CONTINUUM)
+    angle, on_axis = (
+        np.arcsin(np.minimum(per_sin * incidence_on_filter(xy, values), 0.99))
+        for xy in (view.rays.xy, np.zeros(2))
+    )
+    line_nm = view.setup.laser.wavelength_nm
+    laser = laser_transmission(shifted, line_nm, angle) / laser_transmission(shifted, line_nm, on_axis)
     # What is neither the laser's nor the arc's glows: a continuum like the arc's.
-    of_continuum = over_field(lambda theta: passed_continuum(shifted, CONTINUUM, theta) / on_axis, angle)
+    of_continuum = over_field(lambda theta: passed_continuum(shifted, CONTINUUM, theta), angle)
+    of_continuum /= passed_continuum(shifted, CONTINUUM, on_axis)
     light.scale(of_continuum.astype(np.float32))
     light.laser = light.laser * (laser / of_continuum).astype(np.float32)
 
@@ -170,10 +185,16 @@ EFFECTS = (
         stage=Stage.OPTICS,
         summary="the passband moves to shorter wavelengths off axis: the laser line dims towards the rim, "
         "the arc's continuum hardly",
-        equation="laser' = laser T(lambda / s) / T(lambda), s = sqrt(1 - shift_share sin^2 theta / n_eff^2); "
-        "arc' = arc integral B(lambda) T(lambda / s) d lambda over the same at s = 1",
-        source="Smith, Modern Optical Engineering, ch. 11; 1 is the whole shift of the stated filter",
-        parameters=(Parameter("shift_share", "", 0.0, 1.0, 0.0, 6.0, 0.01),),
+        equation="laser' = laser T(lambda / s) over that on the axis, s = sqrt(1 - shift_share sin^2 theta / "
+        "n_eff^2), theta from the filter's normal; arc' = arc integral B(lambda) T(lambda / s) d lambda over "
+        "that on the axis",
+        source="Smith, Modern Optical Engineering, ch. 11; 1 is the whole shift of the stated filter, which "
+        "a mount holds within some degrees",
+        parameters=(
+            Parameter("shift_share", "", 0.0, 1.0, 0.0, 6.0, 0.01),
+            Parameter("tilt_right_deg", "deg", 0.0, 3.0, -15.0, 15.0, 0.05),
+            Parameter("tilt_down_deg", "deg", 0.0, 3.0, -15.0, 15.0, 0.05),
+        ),
         typical={"shift_share": 1.0},
         light=_filter_shift,
         needs=("filter",),

@@ -16,7 +16,9 @@ from noise_model.arc.map import arc_at, arc_kernel
 from noise_model.arc.scene import Scene, make_scene
 from noise_model.compiled.arrays import Bool, Float64
 from noise_model.condition import Condition
+from noise_model.effects import REGISTRY
 from noise_model.effects.light import Light
+from noise_model.effects.optics import incidence_on_filter
 from noise_model.forward import pass_on
 from noise_model.instrument.camera import Rays
 from noise_model.setup import Setup
@@ -96,7 +98,7 @@ def stripe_light(setup: Setup, T_base_tool: Float64, level_e: float) -> SampledS
         width_px=looks.width_px,
         stripe_e=np.where(looks.seen, stripe, np.nan),
         arc_e=arc,
-        theta=_filter_angle(setup, looks.theta),
+        theta=_filter_angle(setup, looks.image),
         seen=looks.seen,
         eye=scene.T_joint_camera[:3, 3],
         source=transform(scene.T_joint_tool, setup.laser.origin_mm),
@@ -222,11 +224,15 @@ def _stripe(setup: Setup, scene: Scene, points: Float64, normals: Float64, looks
     return np.asarray(light * np.cos(looks.theta) ** 4 * looks.sheet_share)
 
 
-def _filter_angle(setup: Setup, theta: Float64) -> Float64:
-    """Return at which angles (n,), rad, a filter moves as far as `filter_shift` says of it at theta (n,)."""
-    stated = setup.effects.get(FILTER_SHIFT)
-    share = 1.0 if stated is None else stated.get("shift_share", 0.0)
-    return np.arcsin(np.minimum(math.sqrt(share) * np.sin(theta), 1.0))
+def _filter_angle(setup: Setup, image: Float64) -> Float64:
+    """Return at which angles (n,), rad, a filter moves as far as `filter_shift` says of it at places (n, 2).
+
+    Where it is not stated, an upright filter moves by its whole shift.
+    """
+    effect = REGISTRY[FILTER_SHIFT]
+    values = effect.complete(setup.effects.get(FILTER_SHIFT, {"shift_share": 1.0}))
+    sin = incidence_on_filter(setup.camera.normalised(image), values)
+    return np.arcsin(np.minimum(math.sqrt(values["shift_share"]) * sin, 1.0))
 
 
 def _light_at(

@@ -142,7 +142,11 @@ FAMILIES: Mapping[str, tuple[ProbeFamily, ...]] = {
     "ghost_stripe": tuple(
         ProbeFamily(({"strength": 0.2},), {"across": across, "along": 0.0}) for across in GHOSTS_ACROSS
     ),
-    "filter_shift": _each({"shift_share": 0.5}, {"shift_share": 2.0}),
+    "filter_shift": tuple(
+        ProbeFamily(({"shift_share": 1.0},), {"tilt_right_deg": right_deg, "tilt_down_deg": down_deg})
+        for right_deg in (0.0, 5.0, -5.0)
+        for down_deg in (0.0, 5.0, -5.0)
+    ),
     "vignetting": (ProbeFamily(({"loss": 0.1}, {"corner_loss": 0.1})),),
     "defocus": _each({"sigma_px": 1.5}, {"sigma_px": 4.0}),
     "veiling_glare": tuple(

@@ -160,6 +160,25 @@ def test_a_shifted_gaussian_filter_dims_the_laser_by_hand(share):
         assert (np.abs(got.laser - 1.0) > 0.02).any()
 
 
+@pytest.mark.parametrize(("right_deg", "down_deg"), [(4.0, 0.0), (-3.0, 5.0)])
+def test_a_leaning_filter_is_met_at_the_angle_to_its_normal(right_deg, down_deg):
+    """The axis keeps its light; elsewhere the shift is that of the angle between ray and leant normal."""
+    setup, ones = sharp(), np.ones((60, 80))
+    values = {"shift_share": 1.0, "tilt_right_deg": right_deg, "tilt_down_deg": down_deg}
+    got = passed(affected(setup, filter_shift=values), light_of(ones, ones))
+    normal = np.array([math.tan(math.radians(right_deg)), math.tan(math.radians(down_deg)), 1.0])
+    normal /= np.linalg.norm(normal)
+    xyz = rays(setup.camera)
+
+    def laser(unit):
+        sin2 = 1.0 - (unit @ normal) ** 2
+        return np.exp(-4.0 * math.log(2.0) * (69.0 * (1.0 / np.sqrt(1.0 - sin2 / 1.8**2) - 1.0)) ** 2)
+
+    want = laser(xyz / np.linalg.norm(xyz, axis=-1, keepdims=True)) / laser(np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(got.laser, want, rtol=2e-4)
+    assert np.ptp(want) > 0.1
+
+
 def test_a_whole_shift_is_that_of_a_measured_filter():
     """A curve with the Gaussian's transmission dims as the Gaussian does, at any share."""
     wavelength = np.linspace(660.0, 720.0, 241)
