@@ -233,6 +233,7 @@ def predict(
     seam: Seam = NOMINAL_SEAM,
     renderer: Renderer | None = None,
     pixels: Integers | None = None,
+    rng: Draw = None,
 ) -> Prediction:
     """Return mean and variance of a frame, or of some pixels of it.
 
@@ -254,6 +255,8 @@ def predict(
         Remembers what was rendered.
     pixels : array (n,), optional
         Indices into the flattened image; by default all of it.
+    rng : numpy.random.Generator, optional
+        Draws the random effects, which then add nothing to the variance.
 
     Returns
     -------
@@ -265,7 +268,7 @@ def predict(
     ValueError
         For a pose whose camera stands below the surface, and for effects that cannot be.
     """
-    true, light = _light(setup, T_base_tool, condition, seam, renderer, pixels, None)
+    true, light = _light(setup, T_base_tool, condition, seam, renderer, pixels, rng)
     mean_e = light.total
     variance_e2 = np.maximum(mean_e, 0.0) + light.variance_e2 + np.float32(true.sensor.read_noise_e**2)
     mean_dn, variance_dn2 = respond_moments(mean_e, variance_e2, true.sensor)

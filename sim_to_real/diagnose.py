@@ -15,6 +15,7 @@ from sim_to_real.data.binned import ObservedRecording, PoseAt, observe
 from sim_to_real.data.cross_validation import split_holdout
 from sim_to_real.decision.holdout_gap import excess_map, measure_gap, predict_holdout
 from sim_to_real.decision.next_experiment import next_measurement
+from sim_to_real.decision.recording_cost import RecordingCost, found_effects
 from sim_to_real.decision.seam_error import seam_errors_mm
 from sim_to_real.diagnosis import (
     NO_GAP,
@@ -142,6 +143,9 @@ def _diagnose(
     stage = effects[0].stage if effects else max(stages, key=lambda name: stages[name])
     # The gap's location: the first named effect's stage, or the unknown cause's likeliest.
     where = locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
+    tell("costing the seam", 0.95)
+    found = found_effects(weighed.posterior, after, random, [effect.id for effect in effects])
+    costs = RecordingCost(frames, model, after).of_each(found, weighed.smallest_values)
     tell("done", 1.0)
     return Diagnosis(
         verdict=verdict,
@@ -157,6 +161,7 @@ def _diagnose(
         after_with=(*after.ids, *random.effects),
         predicted=predicted,
         reasons=reasons(weighed.posterior),
+        costs=costs,
     )
 
 
@@ -203,8 +208,8 @@ class HeldOut(NamedTuple):
             (after, random.effects),
             lambda done: self.tell("predicting the frames held out", 0.75 + 0.15 * done),
         )
-        seam_mm = seam_errors_mm(self.setup, self.frames, self.pose_at, self.model, after)
-        gap = measure_gap(predicted, self.setup, seam_mm)
+        seam = seam_errors_mm(self.setup, self.frames, self.pose_at, self.model, after)
+        gap = measure_gap(predicted, self.setup, seam)
         idle = after.ids if gap.explains_nothing else self.idle(after, random)
         return Assessment(judgement, after, random, predicted, gap, idle)
 
@@ -223,7 +228,7 @@ class HeldOut(NamedTuple):
         predicted = predict_holdout(
             self.observed, self.model, (fewer, random.effects), (after, random.effects), lambda done: None
         )
-        return measure_gap(predicted, self.setup, (math.nan, math.nan))
+        return measure_gap(predicted, self.setup)
 
 
 def _training_frames(observed: ObservedRecording, holdout: Bool) -> ObservedRecording:

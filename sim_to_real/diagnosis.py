@@ -1,5 +1,6 @@
 """The result of a diagnosis: is there a gap, where, what causes it, how far it shrinks, what to do next."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -70,6 +71,62 @@ class RankedEffect:
     is_random: bool = False
 
 
+@dataclass(frozen=True)
+class SeamShift:
+    """Shift of the tracker's seam along one axis, mm: rms over the run, its 95 % interval, mean shift.
+
+    `value` and `mean` are NaN where only an upper bound `high` is known, all four where no seam was found.
+    """
+
+    value: float
+    low: float
+    high: float
+    mean: float
+
+
+class CostFlag(Enum):
+    """Why a cost is unknown."""
+
+    NO_SEAM = "no_seam"
+    SEAM_LOST = "seam_lost"
+    NOT_RENDERED = "not_rendered"
+
+
+@dataclass(frozen=True)
+class EffectCost:
+    """Shift of the tracker's seam by an effect that it does not know, with the effect's parameters `values`.
+
+    Of `n_frames` in which the tracker sees the seam without the effect it loses it in `n_lost`. An effect
+    that was not found `is_bound`: what the smallest size that would show costs at most.
+    """
+
+    id: str
+    lateral_mm: SeamShift
+    vertical_mm: SeamShift
+    n_frames: int
+    n_lost: int
+    values: Mapping[str, float]
+    is_named: bool = False
+    is_bound: bool = False
+    is_rendered: bool = True
+
+    @property
+    def flag(self) -> CostFlag | None:
+        """Why the cost is unknown; None if it is known."""
+        if not self.is_rendered:
+            return CostFlag.NOT_RENDERED
+        if self.n_frames == 0:
+            return CostFlag.NO_SEAM
+        return CostFlag.SEAM_LOST if self.n_lost == self.n_frames else None
+
+    @property
+    def most_mm(self) -> float:
+        """The upper end of the shift, both axes together, mm; inf if it is unknown or the seam is lost."""
+        if self.flag is not None or self.n_lost:
+            return math.inf
+        return math.hypot(self.lateral_mm.high, self.vertical_mm.high)
+
+
 NO_GAP = "no gap"
 """The name of that hypothesis among those that were compared."""
 
@@ -80,7 +137,8 @@ class Gap:
 
     `floor` is the model's own error. `closed` = (before - after) / (before - floor), with its 95 % interval
     over places of the image; NaN without a gap. `seam_mm` is the rms distance of the tracker's seam from the
-    one fitted to all images, for a tracker without the named effects and for one with them. `p_nearer` is the
+    one fitted to all images, for a tracker without the named effects and for one with them, and
+    `seam_lateral_mm` and `seam_vertical_mm` are its parts across the seam. `p_nearer` is the
     share of draws of such places in which the prediction after is nearer to the frames than that before, in
     the same sigmas; NaN where no pixel counts.
     """
@@ -93,6 +151,8 @@ class Gap:
     rms_dn: tuple[float, float]
     seam_mm: tuple[float, float]
     p_nearer: float
+    seam_lateral_mm: tuple[float, float] = (math.nan, math.nan)
+    seam_vertical_mm: tuple[float, float] = (math.nan, math.nan)
 
     @property
     def explains_nothing(self) -> bool:
@@ -195,7 +255,8 @@ class Diagnosis:
     tell apart, `smallest` the smallest magnitude of each effect that would show. `left_over` is the best
     free function of a covariate and the share of the gap that it closes beyond the named effects.
     `after_with` are the effects in the predictions after, whether the verdict names them or not. `reasons`
-    are the hypotheses that were compared, the most probable first.
+    are the hypotheses that were compared, the most probable first. `costs` say what each effect does to the
+    seam, the largest first, those that were not found last.
     """
 
     verdict: DiagnosisVerdict
@@ -211,6 +272,7 @@ class Diagnosis:
     after_with: tuple[str, ...]
     predicted: HeldOutPrediction
     reasons: tuple[Reason, ...] = ()
+    costs: tuple[EffectCost, ...] = ()
 
 
 def excluded_effects(setup: Setup, without: Sequence[str]) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from sim_to_real.diagnosis import (
     Curve,
     Diagnosis,
     DiagnosisVerdict,
+    EffectCost,
     Gap,
     HeldOutPrediction,
     NamedEffect,
@@ -22,6 +23,7 @@ from sim_to_real.diagnosis import (
     ParameterEstimate,
     RankedEffect,
     Reason,
+    SeamShift,
     Where,
 )
 
@@ -75,6 +77,20 @@ def example(verdict: DiagnosisVerdict, setup: Setup, effects: Effects = GAMMA) -
         after_with=() if verdict is DiagnosisVerdict.NO_GAP else tuple(effects),
         predicted=predicted,
         reasons=reasons(next(iter(effects)), verdict),
+        costs=costs(effects, verdict),
+    )
+
+
+def costs(effects: Effects, verdict: DiagnosisVerdict) -> tuple[EffectCost, ...]:
+    """Return what effects cost, and a bound of one that was not found."""
+    unknown = SeamShift(math.nan, math.nan, math.nan, math.nan)
+    bound = SeamShift(math.nan, 0.0, 0.014, math.nan)
+    found = () if verdict in (DiagnosisVerdict.NO_GAP, DiagnosisVerdict.UNKNOWN) else tuple(effects)
+    shifts = SeamShift(0.0013, 0.0012, 0.0014, -0.001), SeamShift(0.2117, 0.2, 0.2213, 0.21)
+    return (
+        *(EffectCost(name, *shifts, 4, 1, effects[name], is_named=True) for name in found),
+        EffectCost("read_noise", unknown, unknown, 0, 0, {"noise_ratio": 1.2}, is_rendered=False),
+        EffectCost("arc_length", SeamShift(math.nan, 0.0, 0.0002, math.nan), bound, 1, 0, {}, is_bound=True),
     )
 
 

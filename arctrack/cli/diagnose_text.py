@@ -9,7 +9,7 @@ from rich.table import Table
 from arctrack.cli import console
 from arctrack.diagnose.diagnose import DiagnosisResult
 from arctrack.diagnose.diagnosis_files import REPORT_PAGE
-from arctrack.diagnose.pages import words
+from arctrack.diagnose.pages import cost_words, words
 from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, RankedEffect
 
 
@@ -19,7 +19,9 @@ def print_one(done: Sequence[DiagnosisResult]) -> None:
     for diagnosed in done:
         console.warn(diagnosed.warnings)
         diagnosis = diagnosed.diagnosis
-        screen.print(words.headline(diagnosis), style="bold", markup=False, soft_wrap=True)
+        harmless = cost_words.harmless(diagnosis, diagnosed.setup.tolerance.seam_mm)
+        for text in filter(None, (harmless, words.headline(diagnosis))):
+            screen.print(text, style="bold", markup=False, soft_wrap=True)
         withheld = words.withheld(diagnosis, diagnosed.job.without)
         for text in filter(None, (words.how_far(diagnosis), withheld, _seam(diagnosed))):
             screen.print(text, markup=False, soft_wrap=True)
@@ -28,6 +30,8 @@ def print_one(done: Sequence[DiagnosisResult]) -> None:
         for name, text in lines:
             screen.print(f"[bold]{escape(name):<{width}}[/bold]  ", end="")
             screen.print(text, markup=False, soft_wrap=True)
+        if rows := cost_words.found_rows(diagnosis.costs):
+            screen.print(_cost_table(rows))
         if diagnosis.ranking and diagnosis.verdict is not DiagnosisVerdict.NO_GAP:
             for table in _rankings(diagnosis):
                 screen.print(table)
@@ -91,6 +95,8 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         )
     if diagnosis.verdict is DiagnosisVerdict.UNKNOWN and diagnosis.left_over is not None:
         yield "left over", words.left_over(*diagnosis.left_over)
+    if bound := cost_words.largest_bound(diagnosis.costs):
+        yield "at most", bound
     if diagnosis.not_resolvable:
         # Pairs that cannot be told apart here; the page has them all.
         pairs = [" | ".join(pair) for pair in diagnosis.not_resolvable[:4]]
@@ -99,6 +105,17 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
     if diagnosis.next is not None:
         separates = words.listed(diagnosis.next.separates, "from")
         yield "record next", diagnosis.next.experiment + (f" (tells {separates})" if separates else "")
+
+
+def _cost_table(rows: Sequence[cost_words.CostRow]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("cost to the seam", no_wrap=True)
+    for heading in ("to the side, mm", "in height, mm"):
+        table.add_column(heading, justify="right")
+    table.add_column("")
+    for row in rows:
+        table.add_row(row.id, row.lateral, row.vertical, row.note)
+    return table
 
 
 def _rankings(diagnosis: Diagnosis) -> Iterator[Table]:

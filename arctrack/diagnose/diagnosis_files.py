@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from arctrack.output import write_whole, writing
-from sim_to_real.diagnosis import Diagnosis, NamedEffect, Next, RankedEffect, Reason, Where
+from sim_to_real.diagnosis import Diagnosis, EffectCost, NamedEffect, Next, RankedEffect, Reason, Where
 
 REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ = "report.json", "where.npz", "predicted.npz"
 REPORT_PAGE = "report.html"
@@ -64,6 +64,8 @@ def report(diagnosis: Diagnosis, without: Sequence[str] = ()) -> dict[str, Any]:
             "rms_dn": _before_after(gap.rms_dn),
             "seam_mm": _before_after(gap.seam_mm),
             "p_nearer": gap.p_nearer,
+            "seam_lateral_mm": _before_after(gap.seam_lateral_mm),
+            "seam_vertical_mm": _before_after(gap.seam_vertical_mm),
         },
         "where": _where(diagnosis.where),
         "next": _next(diagnosis.next),
@@ -73,6 +75,7 @@ def report(diagnosis: Diagnosis, without: Sequence[str] = ()) -> dict[str, Any]:
         "after_with": diagnosis.after_with,
         "reasons": [_reason(reason) for reason in diagnosis.reasons],
         "withheld": tuple(without),
+        "cost": [cost_content(cost) for cost in diagnosis.costs],
     }
     rounded: dict[str, Any] = plain(content, DIGITS)
     return rounded
@@ -92,6 +95,21 @@ def _named(effect: NamedEffect) -> dict[str, Any]:
 
 def _ranked(candidate: RankedEffect) -> dict[str, Any]:
     return {"id": candidate.id, "confidence": candidate.confidence, "gap_closed": candidate.gap_closed}
+
+
+def cost_content(cost: EffectCost) -> dict[str, Any]:
+    """Return an effect's cost as a report has it."""
+    return {
+        "id": cost.id,
+        "lateral_mm": asdict(cost.lateral_mm),
+        "vertical_mm": asdict(cost.vertical_mm),
+        "named": cost.is_named,
+        "bound": cost.is_bound,
+        "parameters": cost.values,
+        "frames": cost.n_frames,
+        "lost": cost.n_lost,
+        "flag": None if cost.flag is None else cost.flag.value,
+    }
 
 
 def _reason(reason: Reason) -> dict[str, Any]:

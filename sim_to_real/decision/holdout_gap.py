@@ -14,6 +14,7 @@ from noise_model.instrument.sensor import respond, saturation_dn
 from noise_model.setup import Setup
 from sim_to_real.data.binned import FLOOR_DN, FLOOR_REL, ObservedFrame, ObservedRecording
 from sim_to_real.data.blocks import dilate, in_blocks, near_face_edges
+from sim_to_real.decision.seam_error import UNKNOWN_ERRORS, SeamErrors
 from sim_to_real.diagnosis import Gap, HeldOutPrediction
 from sim_to_real.fit.gauss_newton import FLICKER, Refit
 from sim_to_real.fit.linearized_model import LinearizedModel
@@ -174,11 +175,11 @@ def _valid_pixels(
 
 
 def measure_gap(
-    predicted: HeldOutPrediction, setup: Setup, seam_mm: tuple[float, float], seed: int = 0
+    predicted: HeldOutPrediction, setup: Setup, seam: SeamErrors = UNKNOWN_ERRORS, seed: int = 0
 ) -> Gap:
     """Measure the gap, sqrt(mean r^2 - 1) of the pixels that count, with its interval by a block bootstrap.
 
-    `seam_mm`, the seam point's displacement before and after, is passed on.
+    `seam`, the seam's errors before and after, is passed on.
     """
     counts = np.isfinite(predicted.variance)
     light_dn = predicted.after.astype(np.float64) - setup.sensor.black_level_dn
@@ -215,8 +216,10 @@ def measure_gap(
         closed,
         ci95=(float(low), float(high)),
         rms_dn=(rms[0], rms[1]),
-        seam_mm=seam_mm,
+        seam_mm=seam.total_mm,
         p_nearer=p_nearer,
+        seam_lateral_mm=seam.lateral_mm,
+        seam_vertical_mm=seam.vertical_mm,
     )
 
 

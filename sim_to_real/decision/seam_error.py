@@ -1,7 +1,9 @@
 """Displacement of the seam by a gap: the tracker's seam against that of a fit to all images."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,28 +17,48 @@ from tracker.state import Frame
 from tracker.tracker import Tracker
 
 
+class SeamErrors(NamedTuple):
+    """Rms distances of the tracker's seam from a fit's, mm: of a tracker without its effects, and with."""
+
+    lateral_mm: tuple[float, float]
+    vertical_mm: tuple[float, float]
+
+    @property
+    def total_mm(self) -> tuple[float, float]:
+        """Both axes together."""
+        before, after = map(math.hypot, self.lateral_mm, self.vertical_mm)
+        return before, after
+
+
+UNKNOWN_ERRORS = SeamErrors((math.nan, math.nan), (math.nan, math.nan))
+"""The errors of a seam that nobody looked at."""
+
+
 def seam_errors_mm(
     setup: Setup, frames: Sequence[Frame], pose_at: PoseAt, model: LinearizedModel, best: Refit
-) -> tuple[float, float]:
-    """Return two rms distances, mm, of the tracker's seam from the best fit's; NaN where it sees none.
+) -> SeamErrors:
+    """Return the errors of the tracker's seam against the best fit's; NaN where it sees none.
 
-    The first is of a tracker without the fit's effects: it is what these do to the seam. The second is of a
-    tracker with them. Both have the fit's camera and black level. Bounced light is left out: it takes seconds
-    for each frame.
+    The first are of a tracker without the fit's effects: they are what these do to the seam. The second are
+    of a tracker with them. Both have the fit's camera and black level. Bounced light is left out: it takes
+    seconds for each frame.
     """
     known = {name: values for name, values in best.effects.items() if name != INTERREFLECTION}
-    off_mm = _seam_error_mm(setup, {}, frames, pose_at, model, best)
-    return off_mm, _seam_error_mm(setup, known, frames, pose_at, model, best) if known else off_mm
+    off_mm = _rms_errors_mm(setup, {}, frames, pose_at, model, best)
+    known_mm = _rms_errors_mm(setup, known, frames, pose_at, model, best) if known else off_mm
+    lateral_mm, vertical_mm = zip(off_mm, known_mm, strict=True)
+    return SeamErrors(lateral_mm, vertical_mm)
 
 
-def _seam_error_mm(
+def _rms_errors_mm(
     setup: Setup,
     known: Effects,
     frames: Sequence[Frame],
     pose_at: PoseAt,
     model: LinearizedModel,
     best: Refit,
-) -> float:
+) -> tuple[float, float]:
+    """Return the rms errors across the seam, y and z, mm."""
     assumed = replace(apply_nuisances(setup, best.nuisance), effects={**setup.effects, **known})
     tracker = Tracker(assumed)
     for frame in frames:
@@ -46,10 +68,11 @@ def _seam_error_mm(
             tracker.step(frame, pose)
     history = tracker.state.history
     if history.n == 0:
-        return float("nan")
+        return math.nan, math.nan
     seam = model.renderings.seam_curve(best.effects)
     y_z, _ = seam.evaluate(best.nuisance[N_LEVELS:])
     true = np.column_stack(
         [np.interp(history.stations_mm, seam.stations_mm, displacement) for displacement in y_z]
     )
-    return float(np.sqrt(np.mean(np.sum((history.displacements_mm - true) ** 2, axis=1))))
+    y_mm, z_mm = np.sqrt(np.mean((history.displacements_mm - true) ** 2, axis=0)).tolist()
+    return y_mm, z_mm

@@ -10,6 +10,7 @@ import numpy as np
 
 from noise_model.compiled.arrays import Float64, Int64
 from noise_model.effects import REGISTRY, not_predicted
+from noise_model.fit import within_bounds
 from sim_to_real.diagnosis import DiagnosisVerdict, ParameterEstimate
 from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, compared_bins
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
@@ -74,6 +75,21 @@ class WeightedHypotheses:
                     abs(float(score.steps[0, moved])) * ratio, math.nan, parameter.unit
                 )
         return magnitudes
+
+    @property
+    def smallest_values(self) -> dict[str, tuple[dict[str, float], ...]]:
+        """The parameters of each effect at which it would just show, a set along each of its probe points."""
+        of_each = {}
+        for score, block in zip(self.scores, self._blocks, strict=True):
+            parameters, sets = REGISTRY[score.id].parameters, []
+            origin = np.array(list(score.origin.values()))
+            for step, per_square in zip(score.steps, np.diag(self._seen)[block], strict=True):
+                # Where light ends is a place, and has no magnitude.
+                if per_square > 0.0 and step.any():
+                    moved = within_bounds(parameters, origin + step * math.sqrt(2.0 * MIN_NATS / per_square))
+                    sets.append(dict(zip(score.origin, moved.tolist(), strict=True)))
+            of_each[score.id] = tuple(sets)
+        return of_each
 
     @property
     def _blocks(self) -> list[slice]:

@@ -70,12 +70,16 @@ class Refit:
         """The number of frames with an arc level of their own."""
         return int(np.count_nonzero(self.arc_ln))
 
+    @cached_property
+    def covariance(self) -> Float64:
+        """The covariance of x (p, p), as the loss that was minimised has it."""
+        prior = np.diag(1.0 / self.quadratic.prior_sigmas**2)
+        return np.asarray(np.linalg.pinv(self.quadratic.information / self.quadratic.prior_weight + prior))
+
     @property
     def sigmas(self) -> dict[str, dict[str, float]]:
         """1 sigma of the effects' parameters, as the loss that was minimised has it."""
-        prior = np.diag(1.0 / self.quadratic.prior_sigmas**2)
-        covariance = np.linalg.pinv(self.quadratic.information / self.quadratic.prior_weight + prior)
-        sigma, sigmas = np.sqrt(np.maximum(np.diag(covariance), 0.0)), {}
+        sigma, sigmas = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), {}
         for name, block in _blocks(self.ids, self.n_nuisances, len(self.arc_ln)):
             if name == FLICKER:
                 sigma_rel = self.effects[name]["sigma_rel"]
@@ -83,6 +87,13 @@ class Refit:
             else:
                 sigmas[name] = _parameters_by_name(name, sigma[block])
         return sigmas
+
+    def covariance_of(self, name: str) -> Float64:
+        """Return the covariance of an effect's parameters (p, p), see `sigmas`."""
+        if name == FLICKER:
+            return np.diag(np.square(list(self.sigmas[name].values())))
+        block = dict(_blocks(self.ids, self.n_nuisances, len(self.arc_ln)))[name]
+        return self.covariance[block, block]
 
     @property
     def mean_square(self) -> float:

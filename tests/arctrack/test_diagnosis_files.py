@@ -15,7 +15,7 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import DiagnosisVerdict
 
 KEYS = ["format", "verdict", "effects", "ranking", "ambiguous_with", "gap", "where", "next", "not_resolvable"]
-MORE_KEYS = ["smallest_detectable", "left_over", "after_with", "reasons", "withheld"]
+MORE_KEYS = ["smallest_detectable", "left_over", "after_with", "reasons", "withheld", "cost"]
 
 
 @pytest.mark.parametrize("verdict", DiagnosisVerdict)
@@ -39,8 +39,9 @@ def test_keys_and_types(verdict: DiagnosisVerdict, seen_setup: Setup, tmp_path: 
     for candidate in content["ranking"]:
         assert list(candidate) == ["id", "confidence", "gap_closed"]
     gap = content["gap"]
-    assert list(gap) == ["before", "after", "floor", "closed", "ci95", "rms_dn", "seam_mm", "p_nearer"]
-    assert all(list(gap[name]) == ["before", "after"] for name in ("rms_dn", "seam_mm"))
+    parts = ["rms_dn", "seam_mm", "p_nearer", "seam_lateral_mm", "seam_vertical_mm"]
+    assert list(gap) == ["before", "after", "floor", "closed", "ci95", *parts]
+    assert all(list(gap[name]) == ["before", "after"] for name in parts if name != "p_nearer")
     where = content["where"]
     assert list(where) == ["stage", "stages", "covariates", "strata", "image", "map"]
     assert where["stage"] in {stage.value for stage in Stage}
@@ -48,6 +49,24 @@ def test_keys_and_types(verdict: DiagnosisVerdict, seen_setup: Setup, tmp_path: 
     assert where["covariates"][0] == {"name": "gray_level", "r2": 0.81, "nats": 340.0, "form": "adds"}
     assert where["map"] == "where.npz"
     assert content["not_resolvable"] == [["wrong_material", "fume"], ["arc_length", "arc_radius"]]
+
+
+def test_what_effects_cost_the_seam(seen_setup: Setup) -> None:
+    found, unknown, bound = report(example(DiagnosisVerdict.EFFECTS, seen_setup))["cost"]
+    assert found == {
+        "id": "gamma",
+        "lateral_mm": {"value": 0.0013, "low": 0.0012, "high": 0.0014, "mean": -0.001},
+        "vertical_mm": {"value": 0.2117, "low": 0.2, "high": 0.2213, "mean": 0.21},
+        "named": True,
+        "bound": False,
+        "parameters": {"gamma": 0.74},
+        "frames": 4,
+        "lost": 1,
+        "flag": None,
+    }
+    assert (unknown["flag"], unknown["vertical_mm"]["value"]) == ("not_rendered", None)
+    assert bound["vertical_mm"] == {"value": None, "low": 0.0, "high": 0.014, "mean": None}
+    assert (bound["bound"], bound["named"], bound["flag"]) == (True, False, None)
 
 
 def test_what_the_verdict_names(seen_setup: Setup) -> None:

@@ -15,7 +15,7 @@ from diagnosis_examples import GAMMA, GLARE, example
 from made import small_setup
 
 from arctrack.diagnose.diagnosis_files import report, write_numbers
-from arctrack.diagnose.pages import words
+from arctrack.diagnose.pages import cost_words, words
 from arctrack.diagnose.pages.page import ADVICE, RECOMPUTE, advice, nice_limit, page, telling_frame
 from arctrack.recording import Recording, read_recording
 from noise_model.effects import REGISTRY
@@ -23,12 +23,14 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import (
     NO_GAP,
     DiagnosisVerdict,
+    EffectCost,
     Gap,
     Next,
     ParameterEstimate,
     RankedEffect,
     Reason,
     ReportedTrend,
+    SeamShift,
 )
 
 VOID = {"meta", "img", "br", "rect"}
@@ -96,6 +98,45 @@ def test_the_page_can_be_read_at_every_width(
     )
     browser.open(tmp_path / "page.html")
     browser.assert_readable()
+
+
+@pytest.mark.slow
+def test_what_effects_cost_stands_on_the_page(seen_setup: Setup, recording: Recording) -> None:
+    text = read(page(example(DiagnosisVerdict.EFFECTS, seen_setup), recording)).text
+    for said in (
+        "gammathe response is not the stated power; the tracker loses the seam in 1 of 4 frames"
+        "0.001 (0.001 to 0.001)0.212 (0.200 to 0.221)",
+        "read_noisemore noise than stated; not computed",
+        "The most that effects cost which were not found",
+        "< 0.001≤ 0.014",
+    ):
+        assert said in text
+    assert "No effect was found whose cost" not in text
+
+
+@pytest.mark.parametrize("verdict", DiagnosisVerdict)
+def test_a_gap_that_costs_nothing_says_so_first(
+    verdict: DiagnosisVerdict, seen_setup: Setup, recording: Recording
+) -> None:
+    """Of no gap, and of a cause that is not known, nobody says so."""
+    diagnosis = example(verdict, seen_setup)
+    assert cost_words.harmless(diagnosis, 0.25) == ""
+    small = SeamShift(0.01, 0.008, 0.0121, 0.01)
+    names = ("gamma", "black_level")
+    costs = tuple(EffectCost(name, SeamShift(0.0, 0.0, 0.0, 0.0), small, 4, 0, {}) for name in names)
+    cheap = replace(diagnosis, costs=costs)
+    expected = {
+        DiagnosisVerdict.EFFECTS: "There is a gap, and it moves the seam by less than 0.02 mm.",
+        # Either alternative may be there, both at worst.
+        DiagnosisVerdict.AMBIGUOUS: "There is a gap, and it moves the seam by less than 0.03 mm.",
+    }.get(verdict, "")
+    assert cost_words.harmless(cheap, 0.25) == expected
+    assert f"<h1>{expected}" in page(cheap, recording)
+    assert cost_words.harmless(cheap, 0.1) == ""
+    lost = replace(diagnosis, costs=(replace(costs[0], n_lost=1), costs[1]))
+    assert cost_words.harmless(lost, 0.25) == ""
+    if verdict is DiagnosisVerdict.AMBIGUOUS:
+        assert cost_words.harmless(replace(diagnosis, costs=costs[:1]), 0.25) == ""
 
 
 @pytest.mark.slow

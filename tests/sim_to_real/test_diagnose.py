@@ -41,6 +41,22 @@ def test_a_hidden_gamma_is_named_alone_with_its_value(with_gamma):
     assert result.ranking[0].id == "gamma"
 
 
+def test_it_says_what_the_effects_cost_the_seam(with_gamma):
+    """The named one and bounds of the others; the errors of the seam have their two parts."""
+    result, _ = with_gamma
+    first, *others = result.costs
+    assert (first.id, first.is_named, first.is_bound) == ("gamma", True, False)
+    assert 0.0 < first.vertical_mm.low <= first.vertical_mm.value <= first.vertical_mm.high < 0.1
+    bounds = {cost.id: cost for cost in others if cost.is_bound}
+    assert {"hand_eye", "pose_delay", "fume"} <= bounds.keys() <= result.smallest.keys()
+    # The tool weaves and rises by some mm/s, and a late clock costs its way.
+    speed_mm_s = bounds["pose_delay"].most_mm / abs(bounds["pose_delay"].values["delay_s"])
+    assert 3.0 < speed_mm_s < 12.0
+    gap = result.gap
+    for total, lateral, vertical in zip(gap.seam_mm, gap.seam_lateral_mm, gap.seam_vertical_mm, strict=True):
+        assert np.hypot(lateral, vertical) == pytest.approx(total)
+
+
 def test_the_gap_can_be_computed_again_from_what_was_predicted(with_gamma):
     result, _ = with_gamma
     predicted = result.predicted

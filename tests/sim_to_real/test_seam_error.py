@@ -15,7 +15,7 @@ def errors_mm(path, hidden, **camera):
     expected = LinearizedModel(observe(setup, frames, pose_at))
     expected = expected.anchored_at(expected.neutral, hidden)
     true = refit(expected, hidden, expected.neutral, steps=0)
-    return seam_errors_mm(setup, frames, pose_at, expected, true)
+    return seam_errors_mm(setup, frames, pose_at, expected, true).total_mm
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.diagnose.diagnosis_files import PREDICTED_NPZ, REPORT_JSON, WHERE_NPZ
-from arctrack.diagnose.pages import words
+from arctrack.diagnose.pages import cost_words, words
 from arctrack.diagnose.pages.words import percent, quantity
 from arctrack.output import write_whole
 from arctrack.printable import quoted
@@ -306,6 +306,9 @@ def _content(diagnosis: Diagnosis, recording: Recording, without: Sequence[str])
         "label": LABELS[diagnosis.verdict],
         "seam": words.seam_sentence(diagnosis, setup.tolerance.seam_mm),
         "bears_mm": setup.tolerance.seam_mm,
+        "harmless": cost_words.harmless(diagnosis, setup.tolerance.seam_mm),
+        "found_costs": cost_words.found_rows(diagnosis.costs),
+        "bound_costs": cost_words.bound_rows(diagnosis.costs),
         "advice": advice(diagnosis),
         "shown": shown,
         "is_after": shown is not None and shown.before != shown.after,

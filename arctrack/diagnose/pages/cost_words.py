@@ -1,0 +1,104 @@
+"""What effects cost the seam, in words and rows, for the terminal and for the pages."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from arctrack.diagnose.pages.words import NO_VALUE, summary
+from sim_to_real.diagnosis import CostFlag, Diagnosis, DiagnosisVerdict, EffectCost, SeamShift
+
+HARMLESS_SHARE = 0.1
+"""Share of what the weld can bear below which a gap counts as moving the seam by nothing.
+
+It is a tenth of `[tolerance] seam_mm`, 0.025 mm by default; twice as much would let a fifth pass unsaid.
+"""
+
+SHOWN_MM = 0.001
+"""Shortest shift that is written as a number, mm: below, a tracker's steps show."""
+
+FLAGS = {
+    CostFlag.NO_SEAM: "the tracker finds no seam here, with or without it",
+    CostFlag.SEAM_LOST: "the tracker loses the seam",
+    CostFlag.NOT_RENDERED: "not computed: it shows in no expected frame, or takes seconds for each",
+}
+"""Reasons why a cost is unknown."""
+
+
+@dataclass(frozen=True)
+class CostRow:
+    """A cost in a table: effect, shifts to the side and in height, mm, and what else is to be said."""
+
+    id: str
+    summary: str
+    lateral: str
+    vertical: str
+    note: str
+    is_named: bool
+
+
+def harmless(diagnosis: Diagnosis, bears_mm: float) -> str:
+    """Return that a gap moves the seam by next to nothing, if the weld bears `bears_mm`; or nothing.
+
+    Of a cause that is not known nobody can say so.
+    """
+    costs = {cost.id: cost for cost in diagnosis.costs if not cost.is_bound}
+    if diagnosis.verdict is DiagnosisVerdict.EFFECTS:
+        together = [_most_mm(costs, [effect.id for effect in diagnosis.effects])]
+    elif diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS:
+        together = [_most_mm(costs, ids) for ids in diagnosis.ambiguous_with]
+    else:
+        return ""
+    most_mm = max(together, default=math.inf)
+    if most_mm > HARMLESS_SHARE * bears_mm:
+        return ""
+    # Whole hundredths, rounded up.
+    rounded_mm = max(math.ceil(100.0 * most_mm), 1) / 100.0
+    return f"There is a gap, and it moves the seam by less than {rounded_mm:.2f} mm."
+
+
+def _most_mm(costs: dict[str, EffectCost], ids: Sequence[str]) -> float:
+    """Return the most that effects together shift the seam, mm; inf where that is not known."""
+    return sum(costs[name].most_mm if name in costs else math.inf for name in ids) if ids else math.inf
+
+
+def found_rows(costs: Sequence[EffectCost]) -> list[CostRow]:
+    """Return the costs of what was found, the largest first."""
+    return [_row(cost) for cost in costs if not cost.is_bound]
+
+
+def bound_rows(costs: Sequence[EffectCost]) -> list[CostRow]:
+    """Return the most that effects cost which were not found, the largest first."""
+    return [_row(cost) for cost in costs if cost.is_bound]
+
+
+def largest_bound(costs: Sequence[EffectCost]) -> str:
+    """Return which effect that was not found may cost most, in a sentence; nothing without any."""
+    known = [cost for cost in costs if cost.is_bound and math.isfinite(cost.most_mm)]
+    if not known:
+        return ""
+    most = max(known, key=lambda cost: cost.most_mm)
+    size = shift_text(SeamShift(math.nan, 0.0, most.most_mm, math.nan))
+    return f"of what was not found {most.id} may cost most: {size} mm at the smallest size that would show"
+
+
+def _row(cost: EffectCost) -> CostRow:
+    note = FLAGS[cost.flag] if cost.flag is not None else ""
+    if cost.flag is None and cost.n_lost:
+        note = f"the tracker loses the seam in {cost.n_lost} of {cost.n_frames} frames"
+    lateral, vertical = map(shift_text, (cost.lateral_mm, cost.vertical_mm))
+    return CostRow(cost.id, summary(cost.id), lateral, vertical, note, cost.is_named)
+
+
+def shift_text(shift: SeamShift) -> str:
+    """Return a shift, mm, with its 95 % interval, or its bound."""
+    if not math.isfinite(shift.high):
+        return NO_VALUE
+    if not math.isfinite(shift.value):
+        return f"< {SHOWN_MM:g}" if shift.high < SHOWN_MM else f"≤ {_mm(shift.high)}"
+    if shift.high < SHOWN_MM:
+        return f"< {SHOWN_MM:g}"
+    return f"{_mm(shift.value)} ({_mm(shift.low)} to {_mm(shift.high)})"
+
+
+def _mm(value: float) -> str:
+    return f"{value:.3f}" if value < 1.0 else f"{value:.2f}"
