@@ -206,12 +206,22 @@ class View:
 
         The sheet's irradiance times f_r towards the camera, times `unit_e`: of each pixel that at its centre.
         """
-        points, normals, _ = self._hits
+        if self.is_frame:
+            # Most of a frame is dark: the pixels that meet the free sheet are known.
+            sheet, light = self.sheet, np.zeros(self.which.size)
+            lit = np.flatnonzero(sheet.near & ~sheet.shaded)
+            light[lit] = self._stripe(self._hits[0][lit], self._hits[1][lit], self.which.ravel()[lit])
+        else:
+            light = self._stripe(*self._hits[:2], self.which.ravel())
+        return np.asarray(light.reshape(self.shape) * (self.rays.cos4 * unit_e), dtype=np.float32)
+
+    def _stripe(self, points: Float64, normals: Float64, which: Int64) -> Float64:
+        """Return the sheet's light (n,) at points (n, 3) of the scenes `which` (n,)."""
         shape, laser, light = self.scenes.shape, self.setup.laser, np.empty(len(points))
         light_stripe(
             points=points,
             normals=normals,
-            which=self.which.ravel(),
+            which=which,
             cameras=np.ascontiguousarray(self.scenes.T_joint_camera[:, :3, 3]),
             sheets=sheets_of(laser, self.scenes.T_joint_tool),
             material=lobe_numbers(self.setup.material),
@@ -220,7 +230,7 @@ class View:
             corrugation=shape.corrugation,
             light=light,
         )
-        return np.asarray(light.reshape(self.shape) * (self.rays.cos4 * unit_e), dtype=np.float32)
+        return light
 
     @property
     def sheet(self) -> SheetReach:
