@@ -110,11 +110,11 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
 def _cost_table(rows: Sequence[cost_words.CostRow]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     table.add_column("cost to the seam", no_wrap=True)
-    for heading in ("to the side, mm", "in height, mm"):
-        table.add_column(heading, justify="right")
+    for heading in ("side, mm", "95 %", "height, mm", "95 %"):
+        table.add_column(heading, justify="right", no_wrap=True)
     table.add_column("")
     for row in rows:
-        table.add_row(row.id, row.lateral, row.vertical, row.note)
+        table.add_row(row.id, *row.lateral, *row.vertical, row.note)
     return table
 
 

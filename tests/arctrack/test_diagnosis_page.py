@@ -105,7 +105,7 @@ def test_what_effects_cost_stands_on_the_page(seen_setup: Setup, recording: Reco
     text = read(page(example(DiagnosisVerdict.EFFECTS, seen_setup), recording)).text
     for said in (
         "gammathe response is not the stated power; the tracker loses the seam in 1 of 4 frames"
-        "0.001 (0.001 to 0.001)0.212 (0.200 to 0.221)",
+        "0.0010.001 to 0.0010.2120.200 to 0.221",
         "read_noisemore noise than stated; not computed",
         "The most that effects cost which were not found",
         "< 0.001≤ 0.014",

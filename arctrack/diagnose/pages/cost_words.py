@@ -26,12 +26,15 @@ FLAGS = {
 
 @dataclass(frozen=True)
 class CostRow:
-    """A cost in a table: effect, shifts to the side and in height, mm, and what else is to be said."""
+    """A cost in a table: effect, shifts to the side and in height, mm, and what else is to be said.
+
+    `lateral` and `vertical` are each the shift and its 95 % interval, which is empty for a bound.
+    """
 
     id: str
     summary: str
-    lateral: str
-    vertical: str
+    lateral: tuple[str, str]
+    vertical: tuple[str, str]
     note: str
     is_named: bool
 
@@ -77,7 +80,7 @@ def largest_bound(costs: Sequence[EffectCost]) -> str:
     if not known:
         return ""
     most = max(known, key=lambda cost: cost.most_mm)
-    size = shift_text(SeamShift(math.nan, 0.0, most.most_mm, math.nan))
+    size, _ = shift_text(SeamShift(math.nan, 0.0, most.most_mm, math.nan))
     return f"of what was not found {most.id} may cost most: {size} mm at the smallest size that would show"
 
 
@@ -89,15 +92,15 @@ def _row(cost: EffectCost) -> CostRow:
     return CostRow(cost.id, summary(cost.id), lateral, vertical, note, cost.is_named)
 
 
-def shift_text(shift: SeamShift) -> str:
-    """Return a shift, mm, with its 95 % interval, or its bound."""
+def shift_text(shift: SeamShift) -> tuple[str, str]:
+    """Return a shift, mm, or its bound, and its 95 % interval."""
     if not math.isfinite(shift.high):
-        return NO_VALUE
-    if not math.isfinite(shift.value):
-        return f"< {SHOWN_MM:g}" if shift.high < SHOWN_MM else f"≤ {_mm(shift.high)}"
+        return NO_VALUE, ""
     if shift.high < SHOWN_MM:
-        return f"< {SHOWN_MM:g}"
-    return f"{_mm(shift.value)} ({_mm(shift.low)} to {_mm(shift.high)})"
+        return f"< {SHOWN_MM:g}", ""
+    if not math.isfinite(shift.value):
+        return f"≤ {_mm(shift.high)}", ""
+    return _mm(shift.value), f"{_mm(shift.low)} to {_mm(shift.high)}"
 
 
 def _mm(value: float) -> str:
