@@ -79,14 +79,8 @@ class SceneFrame(NamedTuple):
 class SeamTrial:
     """Expected frames, rendered with and without an effect and tracked by one that does not know it.
 
-    Parameters
-    ----------
-    known : Setup
-        The tracker's setup; its random effects are left out.
-    frames : sequence of SceneFrame
-        The frames, in the order in which the tracker sees them.
-    renderer : Renderer
-        Remembers the frames' light without the effect.
+    `known` is the tracker's setup, whose random effects are left out. The tracker sees the frames in their
+    order. `renderer` remembers their light without the effect.
     """
 
     def __init__(self, known: Setup, frames: Sequence[SceneFrame], renderer: Renderer) -> None:
