@@ -144,8 +144,8 @@ def _diagnose(
     # The gap's location: the first named effect's stage, or the unknown cause's likeliest.
     where = locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
     tell("costing the seam", 0.95)
-    found = found_effects(weighed.posterior, after, random, [effect.id for effect in effects])
-    costs = RecordingCost(frames, model, after).of_each(found, weighed.smallest_values)
+    likely = found_effects(weighed.posterior, after, random, [effect.id for effect in effects])
+    costs = RecordingCost(frames, model, after).of_each(likely, weighed.smallest_values)
     tell("done", 1.0)
     return Diagnosis(
         verdict=verdict,

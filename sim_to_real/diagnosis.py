@@ -120,7 +120,7 @@ class EffectCost:
         return CostFlag.SEAM_LOST if self.n_lost == self.n_frames else None
 
     @property
-    def most_mm(self) -> float:
+    def max_mm(self) -> float:
         """The upper end of the shift, both axes together, mm; inf if it is unknown or the seam is lost."""
         if self.flag is not None or self.n_lost:
             return math.inf

@@ -1,4 +1,4 @@
-"""What the effects of a diagnosis cost the seam in this recording, see `sim_to_real.decision.seam_cost`."""
+"""Costs of a diagnosis' effects in its recording, see `sim_to_real.decision.seam_cost`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
@@ -64,13 +64,13 @@ class RecordingCost:
         self._trials: dict[int, tuple[SeamTrial, tuple[ObservedFrame, ...]]] = {}
 
     def of_each(
-        self, found: Mapping[str, FoundEffect], smallest: Mapping[str, Sequence[Values]]
+        self, likely: Mapping[str, FoundEffect], smallest: Mapping[str, Sequence[Values]]
     ) -> tuple[EffectCost, ...]:
         """Return the costs of effects that were found, and bounds of those that were not, ranked."""
-        return ranked([*self._found(found), *self._bounds(smallest, found)])
+        return ranked([*self._found(likely), *self._bounds(smallest, likely)])
 
-    def _found(self, found: Mapping[str, FoundEffect]) -> Iterator[EffectCost]:
-        for name, effect in found.items():
+    def _found(self, likely: Mapping[str, FoundEffect]) -> Iterator[EffectCost]:
+        for name, effect in likely.items():
             if name in UNRENDERED_EFFECTS:
                 yield unknown_cost(name, effect.spread.values, is_named=effect.is_named)
             else:
@@ -78,10 +78,10 @@ class RecordingCost:
                 yield cost_of(name, shifts_of, effect.spread, without_mm, is_named=effect.is_named)
 
     def _bounds(
-        self, smallest: Mapping[str, Sequence[Values]], found: Mapping[str, FoundEffect]
+        self, smallest: Mapping[str, Sequence[Values]], likely: Mapping[str, FoundEffect]
     ) -> Iterator[EffectCost]:
         for name, sizes in smallest.items():
-            if sizes and name not in found and name not in UNRENDERED_EFFECTS:
+            if sizes and name not in likely and name not in UNRENDERED_EFFECTS:
                 shifts_of, without_mm = self._shifts(name, N_BOUND, None)
                 yield bound_of(name, shifts_of, sizes, without_mm)
 
@@ -136,15 +136,15 @@ def found_effects(
     posterior: Posterior, after: Refit, random: RandomEffects, named: Sequence[str]
 ) -> dict[str, FoundEffect]:
     """Return the effects that are named, as fitted, and those that are probable, by their likeliest fit."""
-    found = {}
+    likely = {}
     for name, values in random.effects.items():
         every = REGISTRY[name].complete(values)
         sigma = np.nan_to_num([random.sigmas[name].get(key, 0.0) for key in every])
-        found[name] = FoundEffect(Spread(every, np.diag(sigma**2)), None, name in named)
+        likely[name] = FoundEffect(Spread(every, np.diag(sigma**2)), None, name in named)
     for fitted in (after, *(hypothesis.refit for hypothesis in posterior.hypotheses)):
         for name in fitted.ids:
             is_probable = posterior.of_each.get(name, 0.0) >= MIN_PROBABILITY
-            if name not in found and (name in named or is_probable):
+            if name not in likely and (name in named or is_probable):
                 spread = Spread(fitted.effects[name], fitted.covariance_of(name))
-                found[name] = FoundEffect(spread, trend_among(fitted.trend, {name: {}}), name in named)
-    return found
+                likely[name] = FoundEffect(spread, trend_among(fitted.trend, {name: {}}), name in named)
+    return likely

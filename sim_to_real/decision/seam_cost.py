@@ -110,10 +110,10 @@ class SeamTrial:
         errors = np.full((len(images), 2), np.nan)
         for is_last in (False, True):
             for n, (frame, there, image_dn) in enumerate(zip(self._frames, worlds, images, strict=True)):
-                T_told = frame.pose_at(pose_time_s(self._known, frame.header.timestamp_s))
-                track = self._tracker.step(replace(frame.header, image_dn=image_dn), Pose(T_told))
+                T_base_tool = frame.pose_at(pose_time_s(self._known, frame.header.timestamp_s))
+                track = self._tracker.step(replace(frame.header, image_dn=image_dn), Pose(T_base_tool))
                 if is_last and track.valid:
-                    errors[n] = _error_mm(there, T_told, np.array(track.seam_tool_mm), frame.seam)
+                    errors[n] = _error_mm(there, T_base_tool, np.array(track.seam_tool_mm), frame.seam)
         return errors
 
     def _image(self, n: int, there: Setup, effects: Effects) -> Integers:
@@ -136,10 +136,10 @@ class SeamTrial:
         return np.clip(scaled, 0, fine.max_dn).astype(np.uint16)
 
 
-def _error_mm(there: Setup, T_told: Float64, seam_tool_mm: Float64, seam: SeamLine) -> Float64:
+def _error_mm(there: Setup, T_base_tool: Float64, seam_tool_mm: Float64, seam: SeamLine) -> Float64:
     """Return the distance (2,) of a tracked point from the true seam, y and z, mm."""
     true = apply_setup_effects(there)
-    T_joint_tool = invert(seam_frame(true.joint, transform(T_told, seam_tool_mm))) @ T_told
+    T_joint_tool = invert(seam_frame(true.joint, transform(T_base_tool, seam_tool_mm))) @ T_base_tool
     station_mm, displacement_mm = seam_displacement(true, T_joint_tool, seam_tool_mm)
     along_mm = station_mm - seam.station_mm
     return displacement_mm - (seam.y_mm + along_mm * seam.slope_y, seam.z_mm + along_mm * seam.slope_z)
@@ -165,9 +165,9 @@ def triangulation_shifts_mm(
     Camera, lens or clock are really off as the effect says. `seen` are the points in which the seam was seen.
     """
     there = replace(known, effects={**known.effects, name: values})
-    (told_mm, found_mm), (true_mm, real_mm) = seen.in_joint(known), seen.in_joint(there)
+    (assumed_mm, found_mm), (true_mm, real_mm) = seen.in_joint(known), seen.in_joint(there)
     # Along a bent seam another station has another true place.
-    return np.asarray(found_mm - real_mm - (course(told_mm) - course(true_mm)))
+    return np.asarray(found_mm - real_mm - (course(assumed_mm) - course(true_mm)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,15 +197,15 @@ def cost_of(
 
     `without_mm` (n, 2) are the errors without the effect, NaN where the tracker sees no seam anyway.
     """
-    at = shifts_of(spread.values)
-    along = np.array([shifts_of(values) - at for values in spread.one_sigma_off(name)])
+    fitted_mm = shifts_of(spread.values)
+    along = np.array([shifts_of(values) - fitted_mm for values in spread.one_sigma_off(name)])
     # A step that loses the seam says nothing of how far it moves.
-    along = np.nan_to_num(along.reshape(-1, *at.shape))
+    along = np.nan_to_num(along.reshape(-1, *fitted_mm.shape))
     draws = np.random.default_rng(0).standard_normal((N_DRAWS, len(along)))
-    drawn = at + np.tensordot(draws, along, 1)
-    lateral, vertical = (_shift(at[:, axis], drawn[:, :, axis]) for axis in (0, 1))
+    drawn = fitted_mm + np.tensordot(draws, along, 1)
+    lateral, vertical = (_shift(fitted_mm[:, axis], drawn[:, :, axis]) for axis in (0, 1))
     return EffectCost(
-        name, lateral, vertical, *_frames_lost(without_mm, at), dict(spread.values), is_named=is_named
+        name, lateral, vertical, *_frames_lost(without_mm, fitted_mm), dict(spread.values), is_named=is_named
     )
 
 
@@ -228,7 +228,7 @@ def unknown_cost(name: str, values: Values, *, is_named: bool) -> EffectCost:
 
 def ranked(costs: Sequence[EffectCost]) -> tuple[EffectCost, ...]:
     """Return costs, the largest first: first what was found, then bounds, last what is not known."""
-    return tuple(sorted(costs, key=lambda cost: (cost.is_bound, not cost.is_rendered, -cost.most_mm)))
+    return tuple(sorted(costs, key=lambda cost: (cost.is_bound, not cost.is_rendered, -cost.max_mm)))
 
 
 def _frames_lost(without_mm: Float64, shifts_mm: Float64) -> tuple[int, int]:

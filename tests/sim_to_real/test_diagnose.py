@@ -50,7 +50,7 @@ def test_it_says_what_the_effects_cost_the_seam(with_gamma):
     bounds = {cost.id: cost for cost in others if cost.is_bound}
     assert {"hand_eye", "pose_delay", "fume"} <= bounds.keys() <= result.smallest.keys()
     # The tool weaves and rises by some mm/s, and a late clock costs its way.
-    speed_mm_s = bounds["pose_delay"].most_mm / abs(bounds["pose_delay"].values["delay_s"])
+    speed_mm_s = bounds["pose_delay"].max_mm / abs(bounds["pose_delay"].values["delay_s"])
     assert 3.0 < speed_mm_s < 12.0
     gap = result.gap
     for total, lateral, vertical in zip(gap.seam_mm, gap.seam_lateral_mm, gap.seam_vertical_mm, strict=True):

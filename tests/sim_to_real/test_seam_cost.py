@@ -162,7 +162,7 @@ def test_a_seam_that_is_lost_is_flagged(on_track):
     assert lost.flag is CostFlag.SEAM_LOST
     assert (lost.n_frames, lost.n_lost) == (2, 2)
     assert math.isnan(lost.lateral_mm.value)
-    assert lost.most_mm == math.inf
+    assert lost.max_mm == math.inf
 
 
 @pytest.mark.slow

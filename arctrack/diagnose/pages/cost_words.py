@@ -1,4 +1,4 @@
-"""What effects cost the seam, in words and rows, for the terminal and for the pages."""
+"""Costs of effects to the seam, in words and rows, for the terminal and for the pages."""
 
 import math
 from collections.abc import Sequence
@@ -46,22 +46,22 @@ def harmless(diagnosis: Diagnosis, bears_mm: float) -> str:
     """
     costs = {cost.id: cost for cost in diagnosis.costs if not cost.is_bound}
     if diagnosis.verdict is DiagnosisVerdict.EFFECTS:
-        together = [_most_mm(costs, [effect.id for effect in diagnosis.effects])]
+        together = [_max_mm(costs, [effect.id for effect in diagnosis.effects])]
     elif diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS:
-        together = [_most_mm(costs, ids) for ids in diagnosis.ambiguous_with]
+        together = [_max_mm(costs, ids) for ids in diagnosis.ambiguous_with]
     else:
         return ""
-    most_mm = max(together, default=math.inf)
-    if most_mm > HARMLESS_SHARE * bears_mm:
+    max_mm = max(together, default=math.inf)
+    if max_mm > HARMLESS_SHARE * bears_mm:
         return ""
     # Whole hundredths, rounded up.
-    rounded_mm = max(math.ceil(100.0 * most_mm), 1) / 100.0
+    rounded_mm = max(math.ceil(100.0 * max_mm), 1) / 100.0
     return f"There is a gap, and it moves the seam by less than {rounded_mm:.2f} mm."
 
 
-def _most_mm(costs: dict[str, EffectCost], ids: Sequence[str]) -> float:
+def _max_mm(costs: dict[str, EffectCost], ids: Sequence[str]) -> float:
     """Return the most that effects together shift the seam, mm; inf where that is not known."""
-    return sum(costs[name].most_mm if name in costs else math.inf for name in ids) if ids else math.inf
+    return sum(costs[name].max_mm if name in costs else math.inf for name in ids) if ids else math.inf
 
 
 def found_rows(costs: Sequence[EffectCost]) -> list[CostRow]:
@@ -76,11 +76,11 @@ def bound_rows(costs: Sequence[EffectCost]) -> list[CostRow]:
 
 def largest_bound(costs: Sequence[EffectCost]) -> str:
     """Return which effect that was not found may cost most, in a sentence; nothing without any."""
-    known = [cost for cost in costs if cost.is_bound and math.isfinite(cost.most_mm)]
+    known = [cost for cost in costs if cost.is_bound and math.isfinite(cost.max_mm)]
     if not known:
         return ""
-    most = max(known, key=lambda cost: cost.most_mm)
-    size, _ = shift_text(SeamShift(math.nan, 0.0, most.most_mm, math.nan))
+    most = max(known, key=lambda cost: cost.max_mm)
+    size, _ = shift_text(SeamShift(math.nan, 0.0, most.max_mm, math.nan))
     return f"of what was not found {most.id} may cost most: {size} mm at the smallest size that would show"
 
 
