@@ -16,7 +16,7 @@ def test_an_even_fumes_airlight_is_the_closed_form() -> None:
     to = np.array([[30.0, -15.0, 0.0], [36.0, 0.0, 0.0], [50.0, 10.0, -3.0]])
     length = np.linalg.norm(to - eye, axis=1)
     rays = (to - eye) / length[:, np.newaxis]
-    optical, air = fume_along(eye, rays, length, arc, 3.0, lambda r: np.ones_like(r))
+    optical, air = fume_along(eye, rays, length, arc, 3.0, lambda points, r: np.ones_like(r))
     t_0 = -(rays @ eye)
     D = np.sqrt(eye @ eye - t_0**2)
     exact = (np.arctan((length - t_0) / D) + np.arctan(t_0 / D)) / D
@@ -43,7 +43,7 @@ def test_a_pose_nearer_to_the_arc_sees_more_of_the_same_fume() -> None:
             scale=lambda factor: None,
         )
         even_fume(frame, {"extinction_per_m": 1.0, "airlight_share": 0.05})
-        _, air = fume_along(eye, ray, length, np.zeros(3), 3.0, lambda r: np.ones_like(r))
+        _, air = fume_along(eye, ray, length, np.zeros(3), 3.0, lambda points, r: np.ones_like(r))
         found.append((frame.arc.item(), air.item()))
     assert found[0][0] == pytest.approx(0.05 * setup.sensor.full_well_e)
     assert found[1][0] / found[0][0] == pytest.approx(found[1][1] / found[0][1])

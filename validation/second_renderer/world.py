@@ -13,6 +13,10 @@ import numpy as np
 
 from noise_model.compiled.arrays import Float64, Integers
 from validation.second_renderer import (
+    world_further_optics,
+    world_further_scene,
+    world_further_sensor,
+    world_further_source,
     world_laser,
     world_medium,
     world_optics,
@@ -38,14 +42,22 @@ FORMS: Mapping[str, Mapping[str, EffectForm]] = {
 }
 """All effects' forms by id and name, in the order in which they act within a frame."""
 
+FURTHER: Mapping[str, EffectForm] = {
+    effect: form
+    for stage in (world_further_scene, world_further_source, world_further_optics, world_further_sensor)
+    for effect, form in stage.FORMS.items()
+}
+"""One further form of each effect, by id: no judgement was tuned on it."""
+
 
 def form_of(hidden: HiddenEffect) -> EffectForm:
     """Return a hidden effect's form. Raises ValueError for an id or a form that there is not."""
     if hidden.id not in FORMS:
         raise ValueError(f"effect {hidden.id!r} is not known: there are {', '.join(FORMS)}")
-    if hidden.form not in FORMS[hidden.id]:
-        raise ValueError(f"{hidden.id} has no form {hidden.form!r}: it has {', '.join(FORMS[hidden.id])}")
-    return FORMS[hidden.id][hidden.form]
+    forms = {**FORMS[hidden.id], FURTHER[hidden.id].name: FURTHER[hidden.id]}
+    if hidden.form not in forms:
+        raise ValueError(f"{hidden.id} has no form {hidden.form!r}: it has {', '.join(forms)}")
+    return forms[hidden.form]
 
 
 def in_order(effects: Sequence[HiddenEffect]) -> list[tuple[EffectForm, HiddenEffect]]:
@@ -81,7 +93,7 @@ def expected_charge(
     camera, acting = studio.world.setup.camera, in_order(effects)
     if moment.arc_level == moment.laser_level == 0.0 and not any(form.in_dark for form, _ in acting):
         return np.zeros((camera.height, camera.width))
-    sight = studio.sight(T_base_tool)
+    sight = studio.sight(T_base_tool, moment.camera_turn_deg, moment.camera_move_mm)
     body = studio.arc_body(sight, moment.arc_shift_mm)
     dark = np.zeros(sight.shape)
     frame = WorldFrameLight(

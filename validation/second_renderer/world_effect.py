@@ -1,6 +1,7 @@
 """What a hidden effect of a made recording is: its forms, and where each acts on the way to the pixel.
 
-An effect has the form that DIAGNOSIS.md's catalogue is modelled with (`CATALOGUE`) and, for many, others.
+An effect has the form that DIAGNOSIS.md's catalogue is modelled with (`CATALOGUE`) and, for many, others;
+beside these each has one further form (`world_further_*.py`), whose equation names its source.
 Nothing of `noise_model.effects` is used.
 """
 
@@ -33,7 +34,8 @@ class Moment:
     `time_s` counts from the first frame of a run of `duration_s`, and on after it; `pose_time_s` is when the
     controller stamped the pose that the tool has. `laser_level` and `arc_level` are outputs over the true
     nominal ones, the current included; `arc_shift_mm` moves the arc's centre in the tool's frame;
-    `tool_height_mm` is the tool's height over the nominal seam line.
+    `tool_height_mm` is the tool's height over the nominal seam line. The camera is turned by the rotation
+    vector `camera_turn_deg` and moved by `camera_move_mm` in its own frame.
     """
 
     index: int
@@ -45,6 +47,8 @@ class Moment:
     exposure_s: float
     tool_height_mm: float
     arc_shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    camera_turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    camera_move_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(eq=False)

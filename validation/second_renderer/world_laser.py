@@ -38,7 +38,7 @@ def _draw_fan_end(draw: Generator, strength: float, setup: Setup) -> dict[str, f
     return {"half_deg": magnitude(strength, 6.0, 3.0)}
 
 
-def _fan_deg(frame: WorldFrameLight) -> Float64:
+def fan_deg(frame: WorldFrameLight) -> Float64:
     """Return the fan's angle (H, W), deg, at what each pixel sees: to the left of travel is positive."""
     laser = frame.studio.world.setup.laser
     rays = transform(invert(frame.sight.T_joint_tool), frame.sight.points) - laser.origin_mm
@@ -47,16 +47,16 @@ def _fan_deg(frame: WorldFrameLight) -> Float64:
 
 
 def _tilted_fan(frame: WorldFrameLight, p: Values) -> None:
-    frame.laser = frame.laser * np.exp(p["slope"] * _fan_deg(frame) / 10.0)
+    frame.laser = frame.laser * np.exp(p["slope"] * fan_deg(frame) / 10.0)
 
 
 def _cylinder(frame: WorldFrameLight, p: Values) -> None:
-    frame.laser = frame.laser * np.exp(-0.5 * ((_fan_deg(frame) - p["aside_deg"]) / p["width_deg"]) ** 2)
+    frame.laser = frame.laser * np.exp(-0.5 * ((fan_deg(frame) - p["aside_deg"]) / p["width_deg"]) ** 2)
 
 
 def _fan_end(frame: WorldFrameLight, p: Values) -> None:
     # The beam's rim dims over a tenth of the half angle.
-    past = (np.abs(_fan_deg(frame)) / p["half_deg"] - 0.95) / 0.1
+    past = (np.abs(fan_deg(frame)) / p["half_deg"] - 0.95) / 0.1
     frame.laser = frame.laser * (0.5 + 0.5 * np.cos(math.pi * np.clip(past, 0.0, 1.0)))
 
 
@@ -98,7 +98,7 @@ def _draw_lamp(draw: Generator, strength: float, setup: Setup) -> dict[str, floa
 
 def _sky(frame: WorldFrameLight, p: Values) -> None:
     up = np.nan_to_num(frame.sight.normals[:, 2], nan=1.0)
-    _lit_by_hall(frame, p["level_e"] * 0.5 * (1.0 + up), p["texture"], 0)
+    lit_by_hall(frame, p["level_e"] * 0.5 * (1.0 + up), p["texture"], 0)
 
 
 def _lamp(frame: WorldFrameLight, p: Values) -> None:
@@ -108,10 +108,10 @@ def _lamp(frame: WorldFrameLight, p: Values) -> None:
     facing = np.maximum(frame.sight.normals @ towards, 0.0)
     # A third comes from walls and ceiling.
     lit = 2.0 / 3.0 * np.nan_to_num(facing, nan=0.0) / towards[2] + 1.0 / 3.0
-    _lit_by_hall(frame, p["level_e"] * lit, p["texture"], int(p["seed"]))
+    lit_by_hall(frame, p["level_e"] * lit, p["texture"], int(p["seed"]))
 
 
-def _lit_by_hall(frame: WorldFrameLight, even_e: Float64, texture: float, seed: int) -> None:
+def lit_by_hall(frame: WorldFrameLight, even_e: Float64, texture: float, seed: int) -> None:
     """Add light (n,), e-, that the metal's blotches, fixed to the part, reflect more or less of."""
     draw = np.random.default_rng(seed)
     waves = draw.standard_normal((2, N_WAVES)) * (2.0 * math.pi / 6.0)

@@ -5,11 +5,12 @@ Formulae are RECORDING.md's. Of `noise_model` only records (setup, joint) and ri
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import math
 import os
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -18,7 +19,8 @@ import numpy as np
 from noise_model.compiled.arrays import Bool, Float32, Float64, Int64
 from noise_model.instrument.camera import Camera
 from noise_model.setup import Setup
-from noise_model.transforms import invert, transform
+from noise_model.surface.brdf import Material
+from noise_model.transforms import invert, moved, transform
 from validation.second_renderer.world_metal import STATED_LOBE, LobeShape
 from validation.second_renderer.world_rays import ARC_POINTS, TILE, ArcBody, Caster
 from validation.second_renderer.world_surface import Departure, TrueSurface
@@ -35,7 +37,8 @@ class WorldLens:
     """Where a pixel's ray really goes, x_d and r_d in units of the focal length.
 
     `brown`: x_d = x_u (1 + k1 r_u^2 + k2 r_u^4) (OpenCV's radial part, added to the camera's own five);
-    `division`: x_u = x_d / (1 + k1 r_d^2) (Fitzgibbon 2001), of a camera that states no distortion.
+    `division`: x_u = x_d / (1 + k1 r_d^2) (Fitzgibbon 2001), of a camera that states no distortion;
+    `decentred`: k1 and k2 are added to the camera's p1 and p2 (Brown 1966, Photogramm. Eng. 32, 444).
     """
 
     kind: str = "brown"
@@ -48,7 +51,10 @@ class WorldLens:
         if self.kind == "division":
             return np.asarray(x_d / (1.0 + self.k1 * np.sum(x_d**2, axis=1, keepdims=True)))
         k1, k2, p1, p2, k3 = camera.distortion[:5]
-        k1, k2 = k1 + self.k1, k2 + self.k2
+        if self.kind == "decentred":
+            p1, p2 = p1 + self.k1, p2 + self.k2
+        else:
+            k1, k2 = k1 + self.k1, k2 + self.k2
         x_u = x_d
         for _ in range(UNDISTORT_STEPS if any((k1, k2, p1, p2, k3)) else 0):
             x, y = x_u.T
@@ -78,13 +84,19 @@ class SheetProfile:
             -0.5 * (across / self.pedestal_ratio) ** 2
         )
 
+    @property
+    def reach(self) -> float:
+        """How far from the middle the sheet is rendered, sigmas."""
+        return float(max(SHEET_REACH ** (2.0 / self.exponent), SHEET_REACH * self.pedestal_ratio))
+
 
 @dataclass(frozen=True, eq=False)
 class TrueWorld:
     """What is really there. `setup` has the true values in place of the stated ones.
 
     `T_base_joint` (4, 4), mm, is where the joint really lies, `departure` how its seam runs, `lobe` how the
-    metal's lobe falls, `lens` how the camera projects, `profile` how the sheet falls off.
+    metal's lobe falls, `lens` how the camera projects, `profile` how the sheet falls off. The arc is
+    `arc_height_ratio` of its radius high.
     """
 
     setup: Setup
@@ -93,6 +105,7 @@ class TrueWorld:
     lobe: LobeShape = STATED_LOBE
     lens: WorldLens = field(default_factory=WorldLens)
     profile: SheetProfile = field(default_factory=SheetProfile)
+    arc_height_ratio: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,12 +168,28 @@ class Studio:
         uv = np.column_stack([image.ravel() for image in pixel_grid(camera)])
         self._xy = world.lens.rays(camera, uv)
 
-    def sight(self, T_base_tool: Float64) -> WorldSight:
-        """Look from a pose of the tool."""
+    def of_metal(self, material: Material) -> Studio:
+        """Return the same world of another metal: the laser's power stays, and with it what it was set by."""
+        other = copy.copy(self)
+        # Kept in the copy: the stripe peaks as stated on the world's own metal.
+        other.stripe_on_plate = self.stripe_on_plate
+        other.world = replace(self.world, setup=replace(self.world.setup, material=material))
+        return other
+
+    def sight(
+        self,
+        T_base_tool: Float64,
+        turn_deg: Sequence[float] = (0.0, 0.0, 0.0),
+        move_mm: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> WorldSight:
+        """Look from a pose of the tool, the camera turned and moved in its own frame."""
         world = self.world
         camera, joint = world.setup.camera, world.setup.joint
         T_joint_tool = invert(world.T_base_joint) @ T_base_tool
-        T_joint_camera = T_joint_tool @ camera.T_tool_camera
+        T_tool_camera = camera.T_tool_camera
+        if any((*turn_deg, *move_mm)):
+            T_tool_camera = moved(T_tool_camera, turn_deg, move_mm)
+        T_joint_camera = T_joint_tool @ T_tool_camera
         rays = np.column_stack([self._xy, np.ones(len(self._xy))])
         directions = rays @ T_joint_camera[:3, :3].T
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -182,13 +211,14 @@ class Studio:
         center = transform(sight.T_joint_tool, offset)
         if arc.on_surface:
             center[2] = offset[2] + float(self.surface.lift_mm(center[0])[0])
-        return ArcBody(center, arc.radius_mm)
+        return ArcBody(center, arc.radius_mm, self.world.arc_height_ratio)
 
     def arc_layers(self, sight: WorldSight, arc: ArcBody) -> tuple[Float32, Float32]:
         """Return D and S (H, W) of `Caster.arc_light`, 0 past the metal; kept on disk."""
         world = self.world
         c2 = world.setup.material.c2
-        key = digest(sight.key, arc.center_mm, arc.radius_mm, c2, world.lobe, ARC_POINTS)
+        shape = () if arc.height_ratio == 1.0 else (arc.height_ratio,)
+        key = digest(sight.key, arc.center_mm, arc.radius_mm, c2, world.lobe, ARC_POINTS, *shape)
         D, S = self.keep(f"arc_{key}", lambda: self._arc_layers(sight, arc))
         return D, S
 
@@ -259,12 +289,7 @@ class Studio:
         z = up[:, 2]
         across = aside * h / (laser.stripe_sigma_mm * z)
         lit = self.world.profile.at(across) * (h / z) ** 2 * np.sum(up * normals_tool, axis=1) / z
-        return np.where((z > 0.0) & (np.abs(across) < self._reach), np.maximum(lit, 0.0), 0.0)
-
-    @property
-    def _reach(self) -> float:
-        profile = self.world.profile
-        return float(max(SHEET_REACH ** (2.0 / profile.exponent), SHEET_REACH * profile.pedestal_ratio))
+        return np.where((z > 0.0) & (np.abs(across) < self.world.profile.reach), np.maximum(lit, 0.0), 0.0)
 
     def stripe(self, sight: WorldSight) -> Float64:
         """Return the laser stripe (H, W), e- for `camera.exposure_s`: it peaks at `peak_e` on the plate."""

@@ -19,14 +19,15 @@ from validation.second_renderer.world_effect import (
     magnitude,
 )
 
-Density = Callable[[Float64], Float64]
-"""The fume's density over the even one's, at distances from the arc, mm."""
+Density = Callable[[Float64, Float64], Float64]
+"""The fume's density (n,) over the even one's, at points (n, 3) and their distances (n,) from the arc, mm."""
 
 STEPS = 24
 """Points along a ray at which fume is summed."""
 
 
-def _draw_fume(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+def draw_fume(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    """Draw how much fume dims and how bright it is."""
     return {
         "extinction_per_m": magnitude(strength, 0.5, 3.0),
         "airlight_share": magnitude(strength, 0.006, 0.12),
@@ -34,19 +35,19 @@ def _draw_fume(draw: Generator, strength: float, setup: Setup) -> dict[str, floa
 
 
 def _draw_plume(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"width_mm": draw.uniform(20.0, 45.0), **_draw_fume(draw, strength, setup)}
+    return {"width_mm": draw.uniform(20.0, 45.0), **draw_fume(draw, strength, setup)}
 
 
 def even_fume(frame: WorldFrameLight, p: Values) -> None:
     """Let fume that is as dense everywhere dim the light, and shine."""
-    _fume(frame, p, lambda r: np.ones_like(r))
+    fill_with_fume(frame, p, lambda points, r: np.ones_like(r))
 
 
 def _plume(frame: WorldFrameLight, p: Values) -> None:
-    _fume(frame, p, lambda r: 3.0 * np.exp(-0.5 * (r / p["width_mm"]) ** 2))
+    fill_with_fume(frame, p, lambda points, r: 3.0 * np.exp(-0.5 * (r / p["width_mm"]) ** 2))
 
 
-def _fume(frame: WorldFrameLight, p: Values, density: Density) -> None:
+def fill_with_fume(frame: WorldFrameLight, p: Values, density: Density) -> None:
     """Dim and scatter by the fume along every ray.
 
     From a level pose at nominal height the airlight in the middle of the image is `airlight_share` of full
@@ -83,13 +84,14 @@ def fume_along(
     for step in (np.arange(STEPS) + 0.5) / STEPS:
         point_mm = eye_mm + (step * length_mm)[:, np.newaxis] * directions
         r = np.linalg.norm(point_mm - arc_mm, axis=1)
-        rho = density(r) * length_mm / STEPS
+        rho = density(point_mm, r) * length_mm / STEPS
         optical += rho
         air += rho / np.maximum(r, arc_radius_mm) ** 2
     return optical, air
 
 
-def _draw_spatter(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+def draw_spatter(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
+    """Draw how many streaks there are, and their size."""
     return {
         "rate_per_frame": magnitude(strength, 1.0, 10.0),
         "peak_e": magnitude(strength, 800.0, 15000.0),
@@ -113,24 +115,30 @@ def _spatter(frame: WorldFrameLight, p: Values, bend: float, peak: Callable[[], 
         return
     height, width = frame.sight.shape
     image = np.zeros((height, width))
-    reach = math.ceil(4.0 * p["width_px"])
     for _ in range(frame.draw.poisson(p["rate_per_frame"])):
         u, v = frame.draw.uniform(0.0, width), frame.draw.uniform(0.0, height)
         du, dv = direction(frame.draw, 1.0)
         curve, bright = bend * frame.draw.uniform(-1.0, 1.0), peak()
         t = np.arange(-0.5 * p["length_px"], 0.5 * p["length_px"])
         off = curve * t**2 / p["length_px"]
-        for x, y in zip(u + du * t - dv * off, v + dv * t + du * off, strict=True):
-            rows = np.arange(max(0, int(y) - reach), min(height, int(y) + reach + 1))
-            columns = np.arange(max(0, int(x) - reach), min(width, int(x) + reach + 1))
-            across, down = (
-                np.exp(-0.5 * ((n - middle) / p["width_px"]) ** 2) for n, middle in ((columns, x), (rows, y))
-            )
-            # A chain of unit steps adds up to sqrt(2 pi) width at its middle.
-            image[np.ix_(rows, columns)] += (
-                bright * np.outer(down, across) / (math.sqrt(2.0 * math.pi) * p["width_px"])
-            )
+        add_dots(image, u + du * t - dv * off, v + dv * t + du * off, np.full(len(t), bright), p["width_px"])
     frame.other = frame.other + image
+
+
+def add_dots(image: Float64, x_px: Float64, y_px: Float64, bright_e: Float64, width_px: float) -> None:
+    """Add a chain of dots (n,) to an image, e-, each a Gaussian of 1 sigma `width_px`."""
+    height, width = image.shape
+    reach = math.ceil(4.0 * width_px)
+    for x, y, bright in zip(x_px, y_px, bright_e, strict=True):
+        rows = np.arange(max(0, int(y) - reach), min(height, int(y) + reach + 1))
+        columns = np.arange(max(0, int(x) - reach), min(width, int(x) + reach + 1))
+        across, down = (
+            np.exp(-0.5 * ((n - middle) / width_px) ** 2) for n, middle in ((columns, x), (rows, y))
+        )
+        # A chain of unit steps adds up to sqrt(2 pi) width at its middle.
+        image[np.ix_(rows, columns)] += (
+            bright * np.outer(down, across) / (math.sqrt(2.0 * math.pi) * width_px)
+        )
 
 
 def _draw_glow(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
@@ -154,7 +162,7 @@ def _nearest_mm(setup: Setup) -> float:
     return float(np.linalg.norm(aside, axis=1).min())
 
 
-def _glow(frame: WorldFrameLight, p: Values, fall: Callable[[Float64], Float64]) -> None:
+def add_glow(frame: WorldFrameLight, p: Values, fall: Callable[[Float64], Float64]) -> None:
     """Add the glow, whatever the current: `brightest_e` where the image comes nearest to the arc.
 
     That is from a level pose at nominal height: how much the metal glows does not change with the pose.
@@ -168,11 +176,11 @@ def _glow(frame: WorldFrameLight, p: Values, fall: Callable[[Float64], Float64])
 
 def exponential_glow(frame: WorldFrameLight, p: Values) -> None:
     """Add hot metal's glow, which falls off exponentially about the arc."""
-    _glow(frame, p, lambda rho: np.exp(-rho / p["length_mm"]))
+    add_glow(frame, p, lambda rho: np.exp(-rho / p["length_mm"]))
 
 
 def _disc_glow(frame: WorldFrameLight, p: Values) -> None:
-    _glow(frame, p, lambda rho: np.exp(-0.5 * (rho / (1.5 * p["length_mm"])) ** 2))
+    add_glow(frame, p, lambda rho: np.exp(-0.5 * (rho / (1.5 * p["length_mm"])) ** 2))
 
 
 FORMS: dict[str, tuple[EffectForm, ...]] = {
@@ -182,13 +190,13 @@ FORMS: dict[str, tuple[EffectForm, ...]] = {
     ),
     "spatter": (
         EffectForm(
-            CATALOGUE, "straight streaks, exponential in their peaks", _draw_spatter, light=_straight_spatter
+            CATALOGUE, "straight streaks, exponential in their peaks", draw_spatter, light=_straight_spatter
         ),
-        EffectForm("curved", "parabolas, their peaks of a power law", _draw_spatter, light=_curved_spatter),
+        EffectForm("curved", "parabolas, their peaks of a power law", draw_spatter, light=_curved_spatter),
     ),
     "fume": (
         EffectForm(
-            CATALOGUE, "even fume: exp(-beta d); airlight ~ integral dt / r^2", _draw_fume, light=even_fume
+            CATALOGUE, "even fume: exp(-beta d); airlight ~ integral dt / r^2", draw_fume, light=even_fume
         ),
         EffectForm(
             "plume", "the same with a Gaussian plume about the arc, 3 beta in it", _draw_plume, light=_plume

@@ -11,6 +11,12 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+GROOVE_RATIO = 9.0
+"""How much narrower the lobe of grooves is along them than the metal's, and wider across, in its square."""
+
+MIN_SQUARE = 1e-12
+"""Keeps powers and quotients of a square finite."""
+
 
 @dataclass(frozen=True)
 class LobeShape:
@@ -22,9 +28,12 @@ class LobeShape:
     - `two_lobes`: (1 - a) exp(-X) + a exp(-X / b^2), the second b times as wide;
     - `ggx`: (1 - a) exp(-X) + a / (1 + c2 t^2 / 2)^2, Walter et al. 2007;
     - `ward`: exp(-X (e^a cos^2 psi + e^-a sin^2 psi)), psi the lean's azimuth from the marks, b in degrees;
-    - `slopes`: exp(-c2 (e^a p^2 + e^-a q^2)), p and q the half vector's slopes along and across the marks.
+    - `slopes`: exp(-c2 (e^a p^2 + e^-a q^2)), p and q the half vector's slopes along and across the marks;
+    - `grooves`: (1 - a) exp(-X) + a exp(-X (9 cos^2 psi + sin^2 psi / 9)), a share a of cylindrical grooves,
+      which spread light across them alone, Poulin and Fournier 1990;
+    - `exponential_power`: exp(-(c2 t^2)^a), Holzschuch and Pacanowski 2017.
 
-    For the last two the marks run at b degrees to the left of travel on the plate. With a `tail` the
+    For the three with marks these run at b degrees to the left of travel on the plate. With a `tail` the
     exponentials of `gaussian` and `ward` are (1 + tail Y)^(-1/tail), a power law, instead of exp(-Y).
     """
 
@@ -69,6 +78,13 @@ def _fall(c2: float, shape: LobeShape, n: Any, h: Any, cos_alpha: Any) -> Any:
         case "ggx":
             wide = 1.0 + 0.5 * c2 * tan2
             return (1.0 - shape.a) * dr.exp(-X) + shape.a / (wide * wide)
+        case "exponential_power":
+            return dr.exp(-dr.power(dr.maximum(c2 * tan2, MIN_SQUARE), shape.a))
+        case "grooves":
+            along2 = _along_marks2(shape, n, lean)
+            stretched = GROOVE_RATIO * along2 + (sin2 - along2) / GROOVE_RATIO
+            grooved = dr.exp(-X * dr.select(sin2 > 0.0, stretched / sin2, 1.0))
+            return (1.0 - shape.a) * dr.exp(-X) + shape.a * grooved
         case "ward" | "slopes":
             along2 = _along_marks2(shape, n, lean)
             stretched = math.exp(shape.a) * along2 + math.exp(-shape.a) * (sin2 - along2)
@@ -91,4 +107,4 @@ def _along_marks2(shape: LobeShape, n: Any, lean: Any) -> Any:
     mx, my = math.cos(math.radians(shape.b)), math.sin(math.radians(shape.b))
     m_n = mx * n.x + my * n.y
     along = mx * lean.x + my * lean.y
-    return along * along / dr.maximum(1.0 - m_n * m_n, 1e-12)
+    return along * along / dr.maximum(1.0 - m_n * m_n, MIN_SQUARE)

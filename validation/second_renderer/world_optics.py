@@ -36,7 +36,8 @@ def point_spread(image: Float64, sigma_px: float) -> Float64:
     return np.asarray(gaussian_filter(image, sigma_px, mode="nearest", truncate=6.0))
 
 
-def _half_diagonals(frame: WorldFrameLight) -> tuple[Float64, Float64]:
+def half_diagonals(frame: WorldFrameLight) -> tuple[Float64, Float64]:
+    """Return pixels' places right of and below the image's middle, both (H, W), in half diagonals."""
     u, v = pixel_grid(frame.sight.camera)
     height, width = frame.sight.shape
     half = 0.5 * math.hypot(width, height)
@@ -123,13 +124,14 @@ def _draw_dirt(draw: Generator, strength: float, setup: Setup) -> dict[str, floa
 
 
 def _smears(frame: WorldFrameLight, p: Values) -> list[Float64]:
-    u, v = _half_diagonals(frame)
+    u, v = half_diagonals(frame)
     draw = np.random.default_rng(int(p["seed"]))
     places = draw.uniform([-0.6, -0.45, 0.7], [0.6, 0.45, 1.4], (int(p["patches"]), 3))
     return [np.hypot(u - x, v - y) / (size * p["radius"]) for x, y, size in places]
 
 
-def _dirt(frame: WorldFrameLight, p: Values, patches: list[Float64]) -> None:
+def dim_and_scatter(frame: WorldFrameLight, p: Values, patches: list[Float64]) -> None:
+    """Let patches (H, W) of the window, 1 at their thickest, dim the light and scatter its mean."""
     passed, veil = np.ones(frame.sight.shape), np.zeros(frame.sight.shape)
     for patch in patches:
         passed *= 1.0 - p["dimming"] * patch
@@ -138,16 +140,16 @@ def _dirt(frame: WorldFrameLight, p: Values, patches: list[Float64]) -> None:
 
 
 def _round_dirt(frame: WorldFrameLight, p: Values) -> None:
-    _dirt(frame, p, [np.exp(-0.5 * r**2) for r in _smears(frame, p)])
+    dim_and_scatter(frame, p, [np.exp(-0.5 * r**2) for r in _smears(frame, p)])
 
 
 def _droplets(frame: WorldFrameLight, p: Values) -> None:
-    _dirt(frame, p, [0.5 - 0.5 * np.tanh((r - 1.0) / 0.15) for r in _smears(frame, p)])
+    dim_and_scatter(frame, p, [0.5 - 0.5 * np.tanh((r - 1.0) / 0.15) for r in _smears(frame, p)])
 
 
 def _fingerprint(frame: WorldFrameLight, p: Values) -> None:
     # Ridges of a finger within a soft disc.
-    _dirt(
+    dim_and_scatter(
         frame,
         p,
         [(0.6 + 0.4 * np.cos(18.0 * r)) / (1.0 + np.exp((r - 1.2) / 0.12)) for r in _smears(frame, p)],
@@ -158,13 +160,15 @@ def _draw_shift(draw: Generator, strength: float, setup: Setup) -> dict[str, flo
     return {"share": magnitude(strength, 0.8, 3.0)}
 
 
-def _shift(frame: WorldFrameLight, p: Values, passed: Callable[[Float64], Float64], band_nm: Float64) -> None:
+def shift_passband(
+    frame: WorldFrameLight, shift: Float64, passed: Callable[[Float64], Float64], band_nm: Float64
+) -> None:
     """Let the laser's line, and a continuum like the arc's, through a passband that shifts off the axis.
 
-    `passed` is the transmission at normal incidence, `band_nm` (n,) even wavelengths over all that passes.
+    `shift` (H, W) is lambda_0 / lambda_theta, `passed` the transmission at normal incidence, `band_nm` (n,)
+    even wavelengths over all that passes.
     """
     line_nm = frame.studio.world.setup.laser.wavelength_nm
-    shift = filter_angle_shift(frame, p["share"])
     frame.laser = frame.laser * passed(line_nm * shift) / passed(np.array(line_nm))
 
     def through(s: float) -> float:
@@ -186,7 +190,8 @@ def _gaussian_shift(frame: WorldFrameLight, p: Values) -> None:
     stated = frame.studio.world.setup.stated_filter
     per_nm2 = 4.0 * math.log(2.0) / stated.fwhm_nm**2
     band_nm = stated.center_nm + stated.fwhm_nm * np.linspace(-3.0, 3.0, 601)
-    _shift(frame, p, lambda nm: np.exp(-per_nm2 * (nm - stated.center_nm) ** 2), band_nm)
+    shift = filter_angle_shift(frame, p["share"])
+    shift_passband(frame, shift, lambda nm: np.exp(-per_nm2 * (nm - stated.center_nm) ** 2), band_nm)
 
 
 def _draw_edge_shift(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
@@ -194,7 +199,8 @@ def _draw_edge_shift(draw: Generator, strength: float, setup: Setup) -> dict[str
 
 
 def _edge_shift(frame: WorldFrameLight, p: Values) -> None:
-    _shift(frame, p, edge_transmission, np.linspace(EDGE_NM[0], EDGE_NM[-1], 601))
+    shift = filter_angle_shift(frame, p["share"])
+    shift_passband(frame, shift, edge_transmission, np.linspace(EDGE_NM[0], EDGE_NM[-1], 601))
 
 
 def _draw_ghost(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:

@@ -30,10 +30,11 @@ GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
 @dataclass(frozen=True, eq=False)
 class ArcBody:
-    """A luminous upper half of a sphere: centre (3,), mm, joint frame, and radius."""
+    """A luminous upper half of a spheroid: centre (3,), mm, joint frame, radius, and height over radius."""
 
     center_mm: Float64
     radius_mm: float
+    height_ratio: float = 1.0
 
 
 class Caster:
@@ -102,7 +103,7 @@ class Caster:
         mi = self._mi
         p, n, omega_r = self._points(points_mm), self._vectors(normals), self._vectors(towards_camera)
         c = mi.Point3f(*(self._opaque(value) for value in arc.center_mm))
-        radius = self._opaque(arc.radius_mm)
+        radius, height = self._opaque(arc.radius_mm), self._opaque(arc.height_ratio)
         turned = mi.Float(tile.astype(np.float32)) / TILE
         shift = mi.Float(_bit_reversed(tile).astype(np.float32)) / TILE
 
@@ -111,10 +112,15 @@ class Caster:
             sin_tau = dr.sqrt(dr.maximum(1.0 - cos_tau * cos_tau, 0.0))
             sin_d, cos_d = dr.sincos(GOLDEN * mi.Float(k) + 2.0 * math.pi * turned)
             out = mi.Vector3f(sin_tau * cos_d, sin_tau * sin_d, cos_tau)
-            way = c + radius * out - p
+            place, facing = out, out
+            if arc.height_ratio != 1.0:
+                # A spheroid's patch over the sphere's is its normal, not of unit length.
+                place = mi.Vector3f(out.x, out.y, height * out.z)
+                facing = mi.Vector3f(height * out.x, height * out.y, out.z)
+            way = c + radius * place - p
             r = dr.norm(way)
             omega_i = way / r
-            cos_phi, cos_i = -dr.dot(omega_i, out), dr.dot(omega_i, n)
+            cos_phi, cos_i = -dr.dot(omega_i, facing), dr.dot(omega_i, n)
             active = (cos_phi > 0.0) & (cos_i > 0.0)
             ray = mi.Ray3f(p + OFF_MM * n, omega_i)
             ray.maxt = (1.0 - SHORT) * r

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
 from noise_model.transforms import moved
 from validation.second_renderer.world_bounce import Bounces, bounced_light
@@ -90,7 +91,8 @@ def _draw_bounces(draw: Generator, strength: float, setup: Setup) -> dict[str, f
     return {"scale": magnitude(strength, 0.12, 0.45)}
 
 
-def _bounced(frame: WorldFrameLight, bounces: Bounces) -> None:
+def bounced(frame: WorldFrameLight, bounces: Bounces) -> None:
+    """Add the light that bounces between the faces."""
     arc, laser = bounced_light(frame.studio, frame.sight, frame.body, bounces)
     frame.arc = frame.arc + frame.moment.arc_level * arc
     frame.laser = frame.laser + frame.moment.laser_level * laser
@@ -171,9 +173,14 @@ def _draw_slanted_outline(draw: Generator, strength: float, setup: Setup) -> dic
     return {**_draw_outline(draw, strength, setup), "turn_deg": draw.uniform(-3.0, 3.0)}
 
 
-def _cut_plate(frame: WorldFrameLight, p: Values) -> None:
-    x, y = np.nan_to_num(frame.sight.points[:, :2]).T
-    beyond = p["side"] * y > p["reach_mm"] + math.tan(math.radians(p["turn_deg"])) * x
+def _cut_straight(frame: WorldFrameLight, p: Values) -> None:
+    x = np.nan_to_num(frame.sight.points[:, 0])
+    cut_plate(frame, p["side"], p["reach_mm"] + math.tan(math.radians(p["turn_deg"])) * x)
+
+
+def cut_plate(frame: WorldFrameLight, side: float, reach_mm: Float64) -> None:
+    """Leave what lies at side y > reach (n,), mm, dark."""
+    beyond = side * np.nan_to_num(frame.sight.points[:, 1]) > reach_mm
     frame.through(lambda image: np.where(beyond.reshape(image.shape), 0.0, image))
 
 
@@ -230,12 +237,12 @@ FORMS: dict[str, tuple[EffectForm, ...]] = {
         ),
     ),
     "plate_outline": (
-        EffectForm(CATALOGUE, "dark from reach_mm beside the seam on", _draw_outline, light=_cut_plate),
+        EffectForm(CATALOGUE, "dark from reach_mm beside the seam on", _draw_outline, light=_cut_straight),
         EffectForm(
             "slanted",
             "the same, the edge turned by turn_deg to the seam",
             _draw_slanted_outline,
-            light=_cut_plate,
+            light=_cut_straight,
         ),
     ),
     "interreflection": (
@@ -243,13 +250,13 @@ FORMS: dict[str, tuple[EffectForm, ...]] = {
             CATALOGUE,
             "up to six bounces, absolute reflectance scale f_r, by the metal's lobe first",
             _draw_bounces,
-            light=lambda frame, p: _bounced(frame, Bounces(p["scale"])),
+            light=lambda frame, p: bounced(frame, Bounces(p["scale"])),
         ),
         EffectForm(
             "one_diffuse",
             "one bounce, even in all directions: scale kappa_diff",
             _draw_bounces,
-            light=lambda frame, p: _bounced(frame, Bounces(p["scale"], most=1, glossy=False)),
+            light=lambda frame, p: bounced(frame, Bounces(p["scale"], most=1, glossy=False)),
         ),
     ),
     "hand_eye": (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,10 +25,18 @@ from validation.second_renderer.world_light import Studio, TrueWorld
 from validation.second_renderer.world_surface import Departure, TrueSurface
 
 JOINTS = ("v_groove", "lap", "corrugation")
+WIDE_JOINTS = (*JOINTS, "butt", "fillet", "outside_corner")
 METALS = (Material("mild_steel", 0.021, 0.326, 112.0), Material("zn_coated", 0.495, 0.153, 8.331))
 
 WIDTH_PX = 640
 CURRENT_A, EXPOSURE_S = 100.0, 0.005
+ARC_RADIUS_MM = 3.0
+
+AHEAD = (85.0, 105.0), (0.0, 10.0), (120.0, 140.0)
+BESIDE = (40.0, 70.0), (35.0, 55.0), (115.0, 135.0)
+BEHIND = (-35.0, -15.0), (0.0, 10.0), (130.0, 145.0)
+VIEWS = (AHEAD, BESIDE, BEHIND)
+"""From where and up to where a camera may stand: along travel, beside it to either side, and up; mm."""
 
 ARC_MEAN, ARC_PEAK, PEAK_QUANTILE = 0.15, 0.9, 0.98
 """The arc's nominal light over full well: on average, and at most at the brightest pixels but a few."""
@@ -117,24 +126,59 @@ def draw_stated(draw: Generator, joint: str | None, width_px: int = WIDTH_PX) ->
 
     Raises ValueError for a joint or a width that there is not.
     """
-    if width_px < 1 or WIDTH_PX % width_px:
-        raise ValueError(f"width_px = {width_px}: must divide {WIDTH_PX}")
+    _check_width(width_px)
     drawn = JOINTS[draw.integers(len(JOINTS))]
     stated_joint = _draw_joint(draw, drawn if joint is None else joint)
     # Steel mirrors a lap's arc beside the image: there is nothing to see there.
     is_steel = bool(draw.random() < 0.5) and stated_joint.type in ("v_groove", "flat")
-    # The arc stands on the sheet that it burns to.
-    arc_height_mm = stated_joint.dimensions.get("thickness_mm", 0.0)
-    stated = Setup(
-        camera=_draw_camera(draw, stated_joint.type).coarser(WIDTH_PX // width_px),
+    camera = _draw_camera(draw, stated_joint.type)
+    stated = _nominal(camera.coarser(WIDTH_PX // width_px), METALS[0 if is_steel else 1], stated_joint)
+    return stated, _draw_motion(draw, stated_joint)
+
+
+def draw_wide(draw: Generator, joint: str | None, width_px: int = WIDTH_PX) -> tuple[Setup, WorldMotion]:
+    """Draw as `draw_stated`, of more joints, and from wherever a camera is mounted: ahead, beside or behind.
+
+    Raises ValueError for a joint or a width that there is not.
+    """
+    _check_width(width_px)
+    drawn = WIDE_JOINTS[draw.integers(len(WIDE_JOINTS))]
+    stated_joint = _draw_wide_joint(draw, drawn if joint is None else joint)
+    view = VIEWS[draw.integers(len(VIEWS))]
+    low, high = np.array(view).T
+    seen_from = np.round(draw.uniform(low, high)) * [1.0, draw.choice([-1.0, 1.0]), 1.0]
+    # Steel's narrow lobe mirrors the arc beside most images.
+    is_steel = bool(draw.random() < 0.5) and stated_joint.type in ("v_groove", "butt") and view is AHEAD
+    camera = _camera(seen_from).coarser(WIDTH_PX // width_px)
+    return _nominal(camera, METALS[0 if is_steel else 1], stated_joint), _draw_motion(draw, stated_joint)
+
+
+def _nominal(camera: Camera, material: Material, joint: Joint) -> Setup:
+    return Setup(
+        camera=camera,
         sensor=Sensor(bits=8, gain_e_per_dn=80.0, black_level_dn=4.0, read_noise_e=45.0, full_well_e=20400.0),
         filter=Filter(center_nm=690.0, fwhm_nm=10.0, effective_index=1.8),
         laser=Laser(690.0, (1.0, 0.0, 0.0, -35.0), (35.0, 0.0, 140.0), 0.45, 5000.0),
-        arc=Arc(3.0, (0.0, 0.0, arc_height_mm), 1.0, CURRENT_A, 1.3),
-        material=METALS[0] if is_steel else METALS[1],
-        joint=stated_joint,
+        arc=Arc(ARC_RADIUS_MM, (0.0, 0.0, _arc_height_mm(joint)), 1.0, CURRENT_A, 1.3),
+        material=material,
+        joint=joint,
     )
-    return stated, _draw_motion(draw, stated_joint)
+
+
+def _arc_height_mm(joint: Joint) -> float:
+    """Return the arc's height over the seam line: on the sheet that it burns to, above a fillet's root."""
+    if joint.type == "fillet":
+        return math.ceil(10.0 * ARC_RADIUS_MM / math.sin(math.radians(0.5 * _angle_deg(joint)))) / 10.0
+    return joint.dimensions["thickness_mm"] if joint.type in ("lap", "corrugation") else 0.0
+
+
+def _angle_deg(joint: Joint) -> float:
+    return joint.dimensions["included_angle_deg"]
+
+
+def _check_width(width_px: int) -> None:
+    if width_px < 1 or WIDTH_PX % width_px:
+        raise ValueError(f"width_px = {width_px}: must divide {WIDTH_PX}")
 
 
 def _draw_joint(draw: Generator, joint_type: str) -> Joint:
@@ -149,6 +193,31 @@ def _draw_joint(draw: Generator, joint_type: str) -> Joint:
         "lap": {"thickness_mm": round(draw.uniform(1.5, 2.5), 1)},
         "corrugation": {"thickness_mm": 1.5, "pitch_mm": 60.0, "height_mm": 8.0, "width_mm": 30.0},
     }
+    return _joint(joint_type, dimensions)
+
+
+def _draw_wide_joint(draw: Generator, joint_type: str) -> Joint:
+    """Draw a joint's dimensions as `_draw_joint`, of all types."""
+    dimensions: dict[str, dict[str, float]] = {
+        "flat": {},
+        "v_groove": {
+            "included_angle_deg": round(draw.uniform(50.0, 90.0)),
+            "depth_mm": round(draw.uniform(2.5, 6.0), 1),
+            "root_gap_mm": round(draw.uniform(0.5, 2.0), 1),
+        },
+        "lap": {"thickness_mm": round(draw.uniform(1.5, 3.0), 1)},
+        "corrugation": {"thickness_mm": 1.5, "pitch_mm": 60.0, "height_mm": 8.0, "width_mm": 30.0},
+        "butt": {
+            "gap_mm": round(draw.uniform(0.4, 1.2), 1),
+            "thickness_mm": round(draw.uniform(2.0, 4.0), 1),
+        },
+        "fillet": {"included_angle_deg": round(draw.uniform(80.0, 100.0))},
+        "outside_corner": {"included_angle_deg": round(draw.uniform(85.0, 110.0))},
+    }
+    return _joint(joint_type, dimensions)
+
+
+def _joint(joint_type: str, dimensions: Mapping[str, Mapping[str, float]]) -> Joint:
     if joint_type not in dimensions:
         raise ValueError(f"joint {joint_type!r} is not known: there are {', '.join(dimensions)}")
     size = {name: float(value) for name, value in dimensions[joint_type].items()}
@@ -159,7 +228,10 @@ def _draw_camera(draw: Generator, joint_type: str) -> Camera:
     """Draw the camera's place: ahead, and in every other world 25 to 40 mm beside the seam's plane."""
     beside_mm = round(draw.uniform(25.0, 40.0)) * draw.choice([-1.0, 1.0]) * draw.integers(2)
     ahead = 95.0 - 0.4 * abs(beside_mm), beside_mm, 130.0
-    seen_from = (-20.0, 0.0, 135.0) if joint_type == "lap" else ahead
+    return _camera(np.array((-20.0, 0.0, 135.0) if joint_type == "lap" else ahead))
+
+
+def _camera(seen_from_mm: Float64) -> Camera:
     return Camera(
         width=WIDTH_PX,
         height=480,
@@ -167,7 +239,7 @@ def _draw_camera(draw: Generator, joint_type: str) -> Camera:
         fy=2190.0,
         cx=319.5,
         cy=239.5,
-        T_tool_camera=_looking(np.array(seen_from), np.array([36.0, 0.0, 0.0])),
+        T_tool_camera=_looking(seen_from_mm, np.array([36.0, 0.0, 0.0])),
         focal_length_mm=16.2,
         exposure_s=EXPOSURE_S,
     )

@@ -42,6 +42,22 @@ class Departure:
         k = 2.0 * math.pi / self.y_period_mm
         return self.y_amp_mm * np.sin(k * x_mm), self.y_amp_mm * k * np.cos(k * x_mm)
 
+    def rise_mm(self, y_mm: float) -> float:
+        """Return how much the cross-section is raised beside the seam, mm."""
+        return 0.0
+
+
+@dataclass(frozen=True)
+class OnePlateTilted(Departure):
+    """A departure whose plate at `side` y > 0 is turned about the seam: z = tan(roll_deg) y, there alone."""
+
+    roll_deg: float = 0.0
+    side: float = 1.0
+
+    def rise_mm(self, y_mm: float) -> float:
+        """Return how much the cross-section is raised beside the seam, mm."""
+        return math.tan(math.radians(self.roll_deg)) * y_mm if self.side * y_mm > 0.0 else 0.0
+
 
 @dataclass(frozen=True)
 class TrueSurface:
@@ -52,7 +68,7 @@ class TrueSurface:
 
     def outline_mm(self) -> Float64:
         """Return the corners (n, 2) of the cross-section, (y, z) from left to right."""
-        size = self.joint.dimensions
+        size, slope = self.joint.dimensions, 0.0
         match self.joint.type:
             case "flat":
                 inner = [(0.0, 0.0)]
@@ -65,10 +81,21 @@ class TrueSurface:
                     del inner[1]
             case "lap" | "corrugation":
                 inner = [(0.0, size["thickness_mm"]), (0.0, 0.0)]
+            case "butt":
+                half, thickness = 0.5 * size["gap_mm"], size["thickness_mm"]
+                inner = [(-half, 0.0), (-half, -thickness), (half, -thickness), (half, 0.0)]
+            case "fillet" | "outside_corner":
+                inner = [(0.0, 0.0)]
+                slope = 1.0 / math.tan(math.radians(0.5 * size["included_angle_deg"]))
+                slope = slope if self.joint.type == "fillet" else -slope
             case other:
                 raise ValueError(f"[joint] type = {other!r}: this renderer does not draw it")
-        ends = (-ACROSS_MM, inner[0][1]), (ACROSS_MM, inner[-1][1])
-        return np.array([ends[0], *inner, ends[1]])
+        (first_y, first_z), (last_y, last_z) = inner[0], inner[-1]
+        ends = (
+            (-ACROSS_MM, first_z + slope * (ACROSS_MM + first_y)),
+            (ACROSS_MM, last_z + slope * (ACROSS_MM - last_y)),
+        )
+        return np.array([(y, z + self.departure.rise_mm(y)) for y, z in (ends[0], *inner, ends[1])])
 
     def lift_mm(self, x_mm: Float64) -> tuple[Float64, Float64]:
         """Return by how much a station is raised (...,), mm, and the slope of it: corrugation and z_slope.
