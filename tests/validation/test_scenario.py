@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from arctrack.recording import RecordingWriter, pose_at, read_recording
 from noise_model.transforms import transform
@@ -12,16 +13,17 @@ from sim_to_real.decision.experiments import MENU, N_MORE
 from tracker.state import Frame
 from validation.second_renderer.scenario import (
     TIERS,
+    WIDE_TIERS,
     draw,
     followed_by,
     make,
     stated_moment,
     true_seam_tool_mm,
 )
-from validation.second_renderer.world import FORMS, apply_moment_effects
+from validation.second_renderer.world import FORMS, FURTHER, apply_moment_effects
 from validation.second_renderer.world_effect import CATALOGUE
 from validation.second_renderer.world_light import Studio, TrueWorld
-from validation.second_renderer.world_stated import JOINTS
+from validation.second_renderer.world_stated import JOINTS, WIDE_JOINTS, draw_wide
 
 BY_KEY = {one.key: one for one in MENU}
 
@@ -74,9 +76,12 @@ def test_a_tier_hides_as_many_effects_of_its_form(tier):
     scenario = draw(11, tier)
     assert len(scenario.effects) == TIERS[tier] == len({one.id for one in scenario.effects})
     for one in scenario.effects:
+        if tier == "G":
+            assert one.form == FURTHER[one.id].name
+            continue
         assert (one.form == CATALOGUE) == (tier != "C")
         assert one.form in FORMS[one.id]
-    assert scenario.stated.joint.type in JOINTS
+    assert scenario.stated.joint.type in (WIDE_JOINTS if tier in WIDE_TIERS else JOINTS)
     assert json.loads(json.dumps(scenario.labels)) == scenario.labels
 
 
@@ -103,6 +108,70 @@ def test_true_values_are_off_by_the_tolerance(nominal):
     assert 0.0 < abs(np.log(true.laser.peak_e / stated.laser.peak_e)) < 0.2
     assert 0.0 < abs(true.sensor.black_level_dn - stated.sensor.black_level_dn) < 1.2
     assert 0.0 < abs(np.log(true.sensor.read_noise_e / stated.sensor.read_noise_e)) < 0.2
+
+
+def test_the_labels_of_older_checks_are_unchanged():
+    """Equal options hide equal effects, of equal values: draws come in the order that they ever had."""
+    shown = []
+    for seed, (tier, joint) in enumerate(
+        [("A", "lap"), ("C", "v_groove"), ("D", "corrugation"), ("E", "lap")]
+    ):
+        labels = draw(seed, tier, joint=joint, width_px=80).labels
+        true = labels["true_values"]
+        values = [true["laser_peak_e"], true["black_level_dn"], true["read_noise_e"]]
+        values += [*true["departure"].values(), *(v for p in labels["parameters"] for v in p.values())]
+        shown.append((labels["effects"], labels["form"], " ".join(f"{value:.6g}" for value in values)))
+    assert shown == [
+        (
+            ["laser_speckle"],
+            ["catalogue"],
+            "4913.13 4.08717 42.797 -0.751433 167.062 0.00294379 0.127491 0.731453",
+        ),
+        (["filter_shift"], ["edge"], "5210.64 3.94216 46.4559 -0.439182 148.519 0.00961474 0.824572"),
+        (
+            ["hand_eye", "lens_distortion"],
+            ["catalogue", "catalogue"],
+            "5216.05 4.46072 45.0594 0.0221319 189.121 0.00551128 -0.0885995 0.128892 0.0737884 0.0973297 "
+            "-0.12404 0.0773066 0.162037 0.783676",
+        ),
+        ([], [], "4626.93 3.9957 42.9144 0.946921 129.84 -0.00372028"),
+    ]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_hard_quiet_world_is_off_by_the_tolerances_tails(seed):
+    scenario = draw(seed, "I", width_px=80)
+    assert scenario.effects == ()
+    stated, true = scenario.stated, scenario.world.setup
+    T_stated_true = np.linalg.inv(stated.camera.T_tool_camera) @ true.camera.T_tool_camera
+    turn_deg = np.degrees(Rotation.from_matrix(T_stated_true[:3, :3]).as_rotvec())
+    tolerance = stated.tolerance
+    off = [
+        *turn_deg / tolerance.hand_eye_deg,
+        *T_stated_true[:3, 3] / tolerance.hand_eye_mm,
+        np.log(true.arc.radiance_e / stated.arc.radiance_e) / tolerance.arc_level_rel,
+        np.log(true.laser.peak_e / stated.laser.peak_e) / tolerance.laser_level_rel,
+        (true.sensor.black_level_dn - stated.sensor.black_level_dn) / tolerance.black_level_dn,
+        np.log(true.sensor.read_noise_e / stated.sensor.read_noise_e) / tolerance.read_noise_rel,
+    ]
+    assert (np.abs(off) > 1.5 - 1e-6).all()
+    assert (np.abs(off) < 3.0 + 1e-6).all()
+    assert 0.8 <= abs(scenario.world.departure.y_amp_mm) <= 1.2
+    assert 0.013 <= abs(scenario.world.departure.z_slope) <= 0.02
+
+
+def test_cameras_stand_ahead_beside_and_behind():
+    places = {}
+    for seed in range(40):
+        stated, _ = draw_wide(np.random.default_rng(seed), "butt")
+        x, y, _ = stated.camera.T_tool_camera[:3, 3]
+        place = "behind" if x < 0.0 else "beside" if abs(y) > 30.0 else "ahead"
+        places.setdefault(place, set()).add(stated.material.name)
+    assert places == {
+        "ahead": {"mild_steel", "zn_coated"},
+        "beside": {"zn_coated"},
+        "behind": {"zn_coated"},
+    }
 
 
 def test_the_frames_are_those_of_a_recording_meant_for_diagnosis(nominal):
@@ -193,6 +262,10 @@ def test_what_cannot_be_is_named():
         draw(1, "C", effects=["arc_radius"])
     with pytest.raises(ValueError, match="gamma has no form 'log'"):
         draw(1, "C", effects=["gamma"], form="log")
+    with pytest.raises(ValueError, match="interreflection cannot be hidden in tier G on a outside_corner"):
+        draw(1, "G", joint="outside_corner", effects=["interreflection"])
+    with pytest.raises(ValueError, match="tier H hides 3 effects, not 1"):
+        draw(1, "H", effects=["gamma"])
 
 
 @pytest.mark.parametrize(

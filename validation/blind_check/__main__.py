@@ -29,13 +29,18 @@ def _check() -> None:
 @check.command(epilog="Example: python -m validation.blind_check make --out /tmp/check --draws 3 --workers 2")
 def make(
     out: Annotated[Path, typer.Option(help="The check's folder; made if missing.")],
-    draws: Annotated[int, typer.Option(min=0, help="Recordings of each effect in tiers A, C, D and F.")] = 3,
-    quiet_draws: Annotated[int, typer.Option(min=0, help="Recordings of tier E, without any effect.")] = 50,
+    draws: Annotated[
+        int, typer.Option(min=0, help="Recordings of each effect in tiers A, C, D, F, G and H.")
+    ] = 3,
+    quiet_draws: Annotated[
+        int, typer.Option(min=0, help="Recordings of tiers E and I, without any effect.")
+    ] = 50,
     tiers: Annotated[
         str,
         typer.Option(
-            help="A: one effect; B: A's again, it withheld; C: one of another form; D: two; E: none; "
-            "F: one, in a run whose frames are all taken alike."
+            help="A: one effect; B: A's and G's again, it withheld; C: one of another form; D: two; E: none; "
+            "F: one, in a run whose frames are all taken alike. In more joints and views: G: one of a form "
+            "that nothing was tuned on; H: three; I: none, values and seam far off."
         ),
     ] = "ABCDEF",
     seed: Annotated[int, typer.Option(min=0, help="Seed of all that is drawn at random.")] = 0,

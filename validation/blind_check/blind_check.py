@@ -33,7 +33,7 @@ from sim_to_real.decision.experiments import MENU, Experiment
 from tracker.state import Frame
 from validation.blind_check.case import FAILED, Answer, Case
 from validation.blind_check.files import LabelsFile, ResultFile, SealedFile, read_check_file
-from validation.blind_check.plan import TIERS, RecordingPlan, plan
+from validation.blind_check.plan import AGAIN, TIERS, RecordingPlan, plan
 from validation.blind_check.score import Scores, score
 from validation.second_renderer.world_stated import WIDTH_PX
 
@@ -127,7 +127,7 @@ def make(folder: Path, asked: CheckPlan, workers: int, on_done: OnDone) -> None:
     for (name, recording), label in _over(partial(_render, folder), missing, workers):
         salt = secrets.token_hex(16)
         secret["labels"][name] = {"salt": salt, "label": label}
-        seal = {"sha256": seal_of(salt, label), "again": recording.tier == "A" and "B" in asked.tiers}
+        seal = {"sha256": seal_of(salt, label), "again": recording.tier in AGAIN and "B" in asked.tiers}
         sealed["recordings"][name] = seal
         _write(folder / LABELS, secret)
         _write(folder / SEALED, sealed)
@@ -217,8 +217,14 @@ def scores_json(opened: CheckScores) -> dict[str, Any]:
     """Return what scores.json holds; what is not known is null."""
     scores = opened.scores
     content: dict[str, Any] = plain(asdict(opened))
-    for kept, rate in zip(content["scores"]["rates"], scores.rates, strict=True):
-        kept["rate"] |= {"share": plain(rate.rate.share), "bounds": plain(rate.rate.bounds)}
+    rates = [
+        (kept["rate"], known.rate)
+        for kept, known in zip(content["scores"]["rates"], scores.rates, strict=True)
+    ]
+    for kept, known in zip(content["scores"]["calibration"], scores.calibration, strict=True):
+        rates += [(kept["in_catalogue"], known.in_catalogue), (kept["withheld"], known.withheld)]
+    for kept, rate in rates:
+        kept |= {"share": plain(rate.share), "bounds": plain(rate.bounds)}
     return content
 
 

@@ -17,6 +17,12 @@ VERDICTS = ("effects", "ambiguous", "unknown", "no_gap", FAILED)
 MIN_CLEAR_FLOORS = 3.0
 """A gap of so many floors is one that must be found."""
 
+MIN_CLOSED = 0.9
+"""Effects that close less of the held-out gap are not all that acts."""
+
+MIN_SURE = 0.95
+"""A wrong name with a larger confidence misleads its reader."""
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -67,6 +73,21 @@ class Answer:
         return self.named[0] if self.verdict == "effects" and len(self.named) == 1 else None
 
     @property
+    def is_for_sure(self) -> bool:
+        """Whether effects are named for sure: nothing unknown acts beside them."""
+        return self.verdict == "effects"
+
+    @property
+    def says_more_than_it_closes(self) -> bool:
+        """Whether effects are named for sure that leave a part of the gap open."""
+        return self.is_for_sure and self.gap_closed < MIN_CLOSED
+
+    @property
+    def acting(self) -> frozenset[str]:
+        """The effects that are said to act, alone or beside something unknown; of a set none is."""
+        return frozenset() if self.verdict == "ambiguous" else frozenset(self.named)
+
+    @property
     def is_clear(self) -> bool:
         """Whether the gap is one that must be found."""
         return self.gap_before >= MIN_CLEAR_FLOORS * self.gap_floor
@@ -102,6 +123,32 @@ class Case:
     def named_first(self) -> bool:
         """Whether the verdict names the hidden effect, or one of them, first."""
         return self.answer.first in self.effects
+
+    @property
+    def named_first_for_sure(self) -> bool:
+        """Whether it is, and nothing unknown is said to act beside it."""
+        return self.named_first and self.answer.verdict != "unknown"
+
+    @property
+    def names_all(self) -> bool:
+        """Whether the hidden effects and no other are said to act, alone or beside something unknown."""
+        return self.answer.acting == set(self.effects)
+
+    @property
+    def names_no_wrong(self) -> bool:
+        """Whether some effect is said to act, and none that is not hidden."""
+        return bool(self.answer.acting) and self.answer.acting <= set(self.effects)
+
+    @property
+    def names_false_second(self) -> bool:
+        """Whether an effect that is not hidden is said to act next to a hidden one."""
+        acting = self.answer.acting
+        return not acting.isdisjoint(self.effects) and not acting <= set(self.effects)
+
+    @property
+    def is_truly_withheld(self) -> bool:
+        """Whether the recording was diagnosed again without the very effect that it hides."""
+        return self.again is not None and self.effects == (self.answer.alone,)
 
     @property
     def in_question(self) -> bool:

@@ -8,12 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from validation.second_renderer.scenario import WIDE_STREAM, WIDE_TIERS, is_possible
 from validation.second_renderer.world import FORMS
 from validation.second_renderer.world_effect import CATALOGUE
-from validation.second_renderer.world_stated import JOINTS, WIDTH_PX, draw_stated
+from validation.second_renderer.world_stated import JOINTS, WIDE_JOINTS, WIDTH_PX, draw_stated, draw_wide
 
-TIERS = "ABCDEF"
-"""B has no recordings of its own: it diagnoses those of A again, what they hide withheld."""
+TIERS = "ABCDEFGHI"
+"""B has no recordings of its own: it diagnoses those of `AGAIN` again, what they hide withheld."""
+
+AGAIN = "AG"
 
 DRY = (
     "laser_power_drift",
@@ -46,6 +49,12 @@ DRY = (
 N_WORLDS = 12
 """So many joints, metals and motions are shared by all recordings, and with them the rendered light."""
 
+N_WIDE_WORLDS = 24
+"""So many are shared by the recordings of the tiers with more joints and views."""
+
+WIDE_STEP = 7
+"""From draw to draw an effect goes on by so many of them: each has another joint, and in all it sees all."""
+
 SEEDS = 1_000_000
 """So many seeds of recordings belong to each seed of a check."""
 
@@ -72,14 +81,16 @@ def plan(
 
     Tier A hides each effect `draws` times, C each that has another form than the catalogue's, D deals all
     effects out in pairs so often; E hides nothing in `quiet_draws` recordings. F hides each effect `draws`
-    times in a plain run, and those of `DRY` as often in one without the arc. Equal arguments give an equal
-    plan. Raises ValueError for a tier that there is not and for B without A.
+    times in a plain run, and those of `DRY` as often in one without the arc. G hides each effect `draws`
+    times in its further form, H deals all effects out in threes so often, I hides nothing in `quiet_draws`
+    hard recordings. Equal arguments give an equal plan, whatever other tiers there are beyond F. Raises
+    ValueError for a tier that there is not and for B without A or G.
     """
     for tier in tiers:
         if tier not in TIERS:
             raise ValueError(f"tier {tier!r} is not known: there are {', '.join(TIERS)}")
-    if "B" in tiers and "A" not in tiers:
-        raise ValueError("tier B diagnoses the recordings of A again: name both")
+    if "B" in tiers and not set(AGAIN) & set(tiers):
+        raise ValueError("tier B diagnoses the recordings of A or G again: name one of them too")
     shuffle = np.random.default_rng([seed, 0])
     planned = list(_contents(draws, quiet_draws, tiers, seed, shuffle))
     numbers = shuffle.permutation(len(planned)) + 1
@@ -99,7 +110,7 @@ def _contents(
     def planned(
         turn: int, tier: str, *effects: str, form: str | None = None, is_dry: bool = False
     ) -> RecordingPlan:
-        n, (world_seed, joint) = next(counted), _world(seed, turn, effects)
+        n, (world_seed, joint) = next(counted), _world(seed, turn, effects, tier in WIDE_TIERS)
         return RecordingPlan(
             number=n,
             seed=SEEDS * seed + n,
@@ -130,15 +141,26 @@ def _contents(
             yield planned(n + turn, "F", effect)
             if effect in DRY:
                 yield planned(n + turn, "F", effect, is_dry=True)
+    for turn in range(draws):
+        if "G" in tiers:
+            for n, effect in enumerate(ids):
+                yield planned(n + WIDE_STEP * turn, "G", effect)
+        if "H" in tiers:
+            order = shuffle.permutation(len(ids))
+            for n, triple in enumerate(zip(order[::3], order[1::3], order[2::3], strict=False)):
+                yield planned(2 * n + WIDE_STEP * turn, "H", *(ids[i] for i in triple))
+    for turn in range(quiet_draws if "I" in tiers else 0):
+        yield planned(turn, "I")
 
 
-def _world(seed: int, turn: int, effects: Sequence[str]) -> tuple[int, str]:
+def _world(seed: int, turn: int, effects: Sequence[str], is_wide: bool) -> tuple[int, str]:
     """Return the seed and the joint of the next world, from a turn on, in which effects can be seen."""
-    for n in range(turn, turn + N_WORLDS):
-        world = n % N_WORLDS
-        world_seed, joint = N_WORLDS * seed + world, JOINTS[world % len(JOINTS)]
-        stated, _ = draw_stated(np.random.default_rng([world_seed, 0]), joint)
-        # Light bounces between the faces of a bright metal only.
-        if "interreflection" not in effects or stated.material.kappa_diff > stated.material.kappa_spec:
+    joints, n_worlds = (WIDE_JOINTS, N_WIDE_WORLDS) if is_wide else (JOINTS, N_WORLDS)
+    for n in range(turn, turn + n_worlds):
+        world = n % n_worlds
+        world_seed, joint = n_worlds * seed + world, joints[world % len(joints)]
+        draw = np.random.default_rng([world_seed, WIDE_STREAM if is_wide else 0])
+        stated, _ = (draw_wide if is_wide else draw_stated)(draw, joint)
+        if all(is_possible(effect, stated) for effect in effects):
             return world_seed, joint
-    raise AssertionError("two of three joints are always of the bright metal")
+    raise AssertionError("some joints are always of the bright metal")

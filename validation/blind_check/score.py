@@ -6,10 +6,11 @@ cosine baseline (`cosine`) always names an effect, so its scores say what chance
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
 
@@ -17,13 +18,20 @@ import numpy as np
 
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import REGISTRY
-from validation.blind_check.case import FAILED, VERDICTS, Case, stage_of
+from validation.blind_check.case import FAILED, MIN_SURE, VERDICTS, Case, stage_of
+from validation.blind_check.plan import AGAIN
 
 Z95 = 1.959963984540054
 """A normal variable lies within so many sigmas in 95 %."""
 
+SEVERAL, QUIET = "DH", "EI"
+"""Tiers whose recordings hide several effects, and none."""
+
 CONFIDENCE_BINS = 10
 """Of the calibration error."""
+
+CURVE_EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
+"""Of the calibration curve: most confidences lie near 1."""
 
 N_BOOTSTRAP = 1000
 """How often cases are drawn again for an interval that has no closed form."""
@@ -105,11 +113,33 @@ class Confusion:
 
 
 @dataclass(frozen=True)
+class Claim:
+    """The confidence of what an answer names first, and whether it is hidden."""
+
+    confidence: float
+    is_right: bool
+
+
+@dataclass(frozen=True)
+class CalibrationBin:
+    """Answers that name an effect first with a confidence above `low` up to `high`: how many are right.
+
+    `withheld` are those whose hidden effect is not in the catalogue: none can be right.
+    """
+
+    low: float
+    high: float
+    in_catalogue: Rate
+    withheld: Rate
+
+
+@dataclass(frozen=True)
 class Scores:
     """All that the opened labels say. `failures` are the recordings without a diagnosis and why."""
 
     rates: tuple[BlindScore, ...]
     figures: tuple[Figure, ...]
+    calibration: tuple[CalibrationBin, ...]
     by_effect: tuple[EffectScore, ...]
     confusions: tuple[Confusion, ...]
     failures: tuple[tuple[str, str], ...]
@@ -118,19 +148,24 @@ class Scores:
 def score(cases: Sequence[Case], tiers: str) -> Scores:
     """Return the scores of the tiers that were asked for."""
     rates: list[BlindScore] = []
-    for tier in "AC":
+    for tier in "ACG":
         if tier in tiers:
             rates += _one_effect(tier, _of(cases, tier))
-    if "B" in tiers:
-        rates += _withheld(_of(cases, "A"))
-    if "D" in tiers:
-        rates += _two_effects(_of(cases, "D"))
-    if "E" in tiers:
-        rates += _quiet(_of(cases, "E"))
+    for tier in AGAIN:
+        if "B" in tiers and tier in tiers:
+            rates += _withheld(tier, _of(cases, tier))
+    for tier in SEVERAL:
+        if tier in tiers:
+            rates += _several_effects(tier, _of(cases, tier))
+    for tier in QUIET:
+        if tier in tiers:
+            rates += _quiet(tier, _of(cases, tier))
     if "F" in tiers:
         rates += _plain_run(_of(cases, "F"))
-    if hiding := "".join(tier for tier in "ACDF" if tier in tiers):
-        rates += _next_experiment(hiding, [case for case in cases if case.tier in hiding])
+    if hiding := _present("ACDFGH", tiers):
+        of_hiding = [case for case in cases if case.tier in hiding]
+        rates += _overstated(tiers, cases, hiding, of_hiding)
+        rates += _next_experiment(hiding, of_hiding)
     failures = [(case.name, case.answer.problem) for case in cases if case.answer.verdict == FAILED]
     failures += [
         (f"{case.name} without {case.answer.alone}", case.again.problem)
@@ -144,7 +179,8 @@ def score(cases: Sequence[Case], tiers: str) -> Scores:
     ]
     return Scores(
         tuple(rates),
-        tuple(_figures(cases)),
+        tuple(_figures(cases, tiers)),
+        tuple(_calibration_curve(cases)),
         tuple(_by_effect(cases)),
         tuple(_confusions(cases)),
         tuple(failures),
@@ -161,6 +197,11 @@ def expected_calibration_error(confidence: Float64, is_right: Float64) -> float:
     in_bin = np.minimum((confidence * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
     off = np.bincount(in_bin, weights=is_right - confidence, minlength=CONFIDENCE_BINS)
     return float(np.abs(off).sum() / len(confidence))
+
+
+def _present(some: str, tiers: str) -> str:
+    """Return those of some tiers that were asked for."""
+    return "".join(tier for tier in some if tier in tiers)
 
 
 def _of(cases: Iterable[Case], tier: str) -> list[Case]:
@@ -189,7 +230,14 @@ def _one_effect(tier: str, cases: list[Case]) -> list[BlindScore]:
         return _score(tier, name, text, _rate(chosen, right), beside)
 
     return [
-        row("top1", "named first", cases, NAMED_FIRST, cosine),
+        row("top1", "named first, alone or beside something unknown", cases, NAMED_FIRST, cosine),
+        row(
+            "top1_sure",
+            "named first, and nothing unknown beside it",
+            cases,
+            lambda c: c.named_first_for_sure,
+            cosine,
+        ),
         row("top3", "among the best three", cases, IN_THREE, _rate(cases, COSINE_THREE)),
         row("alone", "named alone and for sure", cases, lambda c: c.answer.alone == c.effects[0], cosine),
         row("best", "named first, or ranked first where nothing is named", cases, BEST, cosine),
@@ -219,16 +267,24 @@ def _one_effect(tier: str, cases: list[Case]) -> list[BlindScore]:
     ]
 
 
-def _withheld(cases: list[Case]) -> list[BlindScore]:
+def _withheld(tier: str, cases: list[Case]) -> list[BlindScore]:
     again = [case for case in cases if case.again is not None]
-    truly = [case for case in again if case.answer.alone == case.effects[0]]
+    truly = [case for case in again if case.is_truly_withheld]
     counted = [c for c in truly if c.again is not None and not c.is_unresolvable(c.again.named)]
     clear = [case for case in counted if case.answer.is_clear]
 
     def is_unknown(case: Case) -> bool:
         return case.again is not None and case.again.verdict == "unknown"
 
-    row = partial(_score, "B")
+    def names_for_sure(case: Case) -> bool:
+        again = case.again
+        return again is not None and again.alone is not None and again.confidence > MIN_SURE
+
+    mark, text_of_tier = ("B", "B") if tier == "A" else (f"B{tier}", f"B of {tier}")
+
+    def row(name: str, text: str, rate: Rate, beside: Rate) -> BlindScore:
+        return BlindScore(f"{name}_{mark}", text_of_tier, text, rate, beside)
+
     n_apart, n_wrong = len(truly) - len(counted), len(again) - len(truly)
     return [
         row(
@@ -244,6 +300,12 @@ def _withheld(cases: list[Case]) -> list[BlindScore]:
             Rate(0, len(clear)),
         ),
         row(
+            "wrong_sure",
+            "one effect named alone, wrongly, with a confidence above 0.95 (less is better)",
+            _rate(counted, names_for_sure),
+            Rate(0, 0),
+        ),
+        row(
             "apart",
             "of those withheld, counted apart: a pair declared not resolvable",
             Rate(n_apart, len(truly)),
@@ -251,32 +313,47 @@ def _withheld(cases: list[Case]) -> list[BlindScore]:
         ),
         row(
             "wrongly_withheld",
-            "of A, counted apart: another effect was withheld than the hidden one",
+            f"of {tier}, counted apart: another effect was withheld than the hidden one",
             Rate(n_wrong, len(cases)),
             Rate(0, 0),
         ),
         row(
             "not_withheld",
-            "of A, not run again: no effect was named alone",
+            f"of {tier}, not run again: no effect was named alone",
             Rate(len(cases) - len(again), len(cases)),
             Rate(0, 0),
         ),
     ]
 
 
-def _two_effects(cases: list[Case]) -> list[BlindScore]:
+def _several_effects(tier: str, cases: list[Case]) -> list[BlindScore]:
     def cosine_named(case: Case) -> set[str]:
-        return {name for name, _ in case.cosines[:2]}
+        return {name for name, _ in case.cosines[: len(case.effects)]}
 
-    row = partial(_score, "D")
+    all_named = "both effects" if tier == "D" else "all three effects"
+    naming = [case for case in cases if case.answer.acting]
+    cosine = _rate(cases, lambda c: cosine_named(c) == set(c.effects))
+    row = partial(_score, tier)
     return [
         row(
             "exact",
-            "both effects and no other named for sure",
-            _rate(cases, lambda c: c.answer.verdict == "effects" and set(c.answer.named) == set(c.effects)),
-            _rate(cases, lambda c: cosine_named(c) == set(c.effects)),
+            f"{all_named} and no other named for sure",
+            _rate(cases, lambda c: c.answer.is_for_sure and c.names_all),
+            cosine,
         ),
-        row("top1", "one of the two named first", _rate(cases, NAMED_FIRST), _rate(cases, COSINE_FIRST)),
+        row(
+            "exact_open",
+            f"{all_named} and no other, alone or beside something unknown",
+            _rate(cases, lambda c: c.names_all),
+            cosine,
+        ),
+        row(
+            "no_wrong",
+            "of those that name effects: no wrong one among them",
+            _rate(naming, lambda c: c.names_no_wrong),
+            _rate(naming, lambda c: cosine_named(c) <= set(c.effects)),
+        ),
+        row("top1", "one of them named first", _rate(cases, NAMED_FIRST), _rate(cases, COSINE_FIRST)),
         row(
             "detected",
             "gap found",
@@ -286,22 +363,48 @@ def _two_effects(cases: list[Case]) -> list[BlindScore]:
     ]
 
 
-def _quiet(cases: list[Case]) -> list[BlindScore]:
+def _quiet(tier: str, cases: list[Case]) -> list[BlindScore]:
     always = Rate(len(cases), len(cases))
+    # E's have been named so since there was no other quiet tier.
+    mark = "" if tier == "E" else f"_{tier}"
     return [
         BlindScore(
-            "false_alarm",
-            "E",
+            f"false_alarm{mark}",
+            tier,
             "false alarms: anything but no gap (less is better)",
             _rate(cases, lambda c: c.answer.verdict != "no_gap"),
             always,
         ),
         BlindScore(
-            "false_name",
-            "E",
+            f"false_name{mark}",
+            tier,
             "of these, an effect named (less is better)",
             _rate(cases, lambda c: bool(c.answer.named) or c.answer.verdict == FAILED),
             always,
+        ),
+    ]
+
+
+def _overstated(
+    tiers: str, cases: Sequence[Case], hiding: str, of_hiding: Sequence[Case]
+) -> list[BlindScore]:
+    """Return how often answers of all tiers say more than is so."""
+    answers = [case.answer for case in cases] + [case.again for case in cases if case.again is not None]
+    unclosed = sum(answer.says_more_than_it_closes for answer in answers)
+    return [
+        BlindScore(
+            "unclosed",
+            tiers,
+            "effects named without something unknown while less than 90 % is closed (never)",
+            Rate(unclosed, len(answers)),
+            Rate(0, 0),
+        ),
+        BlindScore(
+            "false_second",
+            hiding,
+            "a false second: an effect that is not hidden named next to one that is (less is better)",
+            _rate(of_hiding, lambda c: c.names_false_second),
+            Rate(0, 0),
         ),
     ]
 
@@ -348,7 +451,7 @@ def _next_experiment(tiers: str, cases: list[Case]) -> list[BlindScore]:
     return [
         row(
             "resolves",
-            "named first and for sure with the next experiment (D: both and no other)",
+            "named first and for sure with the next experiment (D and H: all and no other)",
             _rate(measured, attrgetter("is_resolved")),
         ),
         row(
@@ -380,19 +483,17 @@ def _next_experiment(tiers: str, cases: list[Case]) -> list[BlindScore]:
     ]
 
 
-def _figures(cases: Sequence[Case]) -> list[Figure]:
+def _figures(cases: Sequence[Case], tiers: str) -> list[Figure]:
     hiding = [case for case in _of(cases, "A") if case.answer.is_clear]
     closed = [c.answer.gap_closed for c in hiding]
     ratio = [_closed_over_true(c) for c in hiding]
-    # Two hidden effects share one ranking: which of them a confidence is about cannot be said.
-    claims = [case for case in cases if case.tier != "D" and case.answer.named]
-    is_right = np.array([case.named_first for case in claims], dtype=np.float64)
-    likeness = [case for case in cases if case.tier != "D" and case.cosines]
+    likeness = [case for case in cases if case.tier not in SEVERAL and case.cosines]
     cosine_error = expected_calibration_error(
         np.array([abs(case.cosines[0][1]) for case in likeness]),
         np.array([case.cosine_named_first for case in likeness], dtype=np.float64),
     )
-    confidence = np.array([case.answer.confidence for case in claims])
+    claims, claims_withheld = _claims(cases), _claims_withheld(cases)
+    one_cause, again, timed = (_present(some, tiers) for some in ("ACEFGI", "B", "ACDEFGHI"))
     return [
         _figure("gap_closed", "A", "share of the held-out gap closed, median, gap ≥ 3 floors", closed),
         _figure(
@@ -401,20 +502,70 @@ def _figures(cases: Sequence[Case]) -> list[Figure]:
             "share closed by the best over that by the hidden effect, median, gap ≥ 3 floors",
             ratio,
         ),
-        Figure(
-            "calibration_error",
-            "ACEF",
-            "calibration error of the confidence",
-            expected_calibration_error(confidence, is_right),
-            _drawn_again(
-                len(claims), lambda drawn: expected_calibration_error(confidence[drawn], is_right[drawn])
-            ),
-            len(claims),
-            cosine_error,
+        replace(
+            _calibration("calibration_error", one_cause, "calibration error of the confidence", claims),
+            cosine=cosine_error,
         ),
-        _figure("wall_s", "ACDEF", "time of a diagnosis, s, median", [c.answer.wall_s for c in cases]),
-        _figure("cpu_s", "ACDEF", "processor time of it, s, median", [c.answer.cpu_s for c in cases]),
+        _calibration(
+            "calibration_error_withheld",
+            again,
+            "the same with the cause withheld: no name is right",
+            claims_withheld,
+        ),
+        _calibration(
+            "calibration_error_all",
+            one_cause + again,
+            "the same, with the cause and with it withheld",
+            [*claims, *claims_withheld],
+        ),
+        _figure("wall_s", timed, "time of a diagnosis, s, median", [c.answer.wall_s for c in cases]),
+        _figure("cpu_s", timed, "processor time of it, s, median", [c.answer.cpu_s for c in cases]),
     ]
+
+
+def _claims(cases: Iterable[Case]) -> list[Claim]:
+    """Return the confidence of what is named first, alone or beside something unknown, and if it is right.
+
+    Several hidden effects share one ranking: which of them a confidence is about cannot be said.
+    """
+    return [
+        Claim(case.answer.confidence, case.named_first)
+        for case in cases
+        if case.tier not in SEVERAL and case.answer.named
+    ]
+
+
+def _claims_withheld(cases: Iterable[Case]) -> list[Claim]:
+    """Return the same with the hidden effect withheld. The unknown has no name, so no claim is right."""
+    return [
+        Claim(case.again.confidence, False)
+        for case in cases
+        if case.is_truly_withheld and case.again is not None and case.again.named
+    ]
+
+
+def _calibration(name: str, tiers: str, text: str, claims: Sequence[Claim]) -> Figure:
+    confidence = np.array([claim.confidence for claim in claims])
+    is_right = np.array([claim.is_right for claim in claims], dtype=np.float64)
+    bounds = _drawn_again(
+        len(claims), lambda drawn: expected_calibration_error(confidence[drawn], is_right[drawn])
+    )
+    error = expected_calibration_error(confidence, is_right)
+    return Figure(name, tiers, text, error, bounds, len(claims))
+
+
+def _calibration_curve(cases: Sequence[Case]) -> Iterator[CalibrationBin]:
+    """Yield the bins of the reported confidence; the first one begins with 0 itself."""
+    claims, claims_withheld = _claims(cases), _claims_withheld(cases)
+    for low, high in itertools.pairwise(CURVE_EDGES):
+        rates = [
+            Rate(sum(claim.is_right for claim in within), len(within))
+            for within in (
+                [c for c in some if low < c.confidence <= high or c.confidence == low == 0.0]
+                for some in (claims, claims_withheld)
+            )
+        ]
+        yield CalibrationBin(low, high, *rates)
 
 
 def _closed_over_true(case: Case) -> float:
@@ -444,7 +595,7 @@ def _drawn_again(
 
 
 def _by_effect(cases: Sequence[Case]) -> Iterator[EffectScore]:
-    for tier in "ACF":
+    for tier in "ACFG":
         for effect in REGISTRY:
             with_effect = [case for case in _of(cases, tier) if case.effects == (effect,)]
             if with_effect:

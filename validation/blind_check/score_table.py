@@ -21,6 +21,11 @@ def table(opened: CheckScores) -> str:
         f"diagnoses that failed or are missing, counted as wrong: {len(scores.failures)}.",
         _rows(("tier", "score", "right", "rate", "95 % bounds", "cosine"), _rates(scores)),
         _rows(("tiers", "figure", "n", "value", "95 % bounds", "cosine"), _figures(scores)),
+        "Calibration of the confidence of what is named first:",
+        _rows(
+            ("confidence", "right", "share", "95 % bounds", "cause withheld: right", "share of all"),
+            _calibration(scores),
+        ),
         _rows(("tier", "effect", "n", "named first", "best three", "cosine", *VERDICTS), _by_effect(scores)),
     ]
     if scores.confusions:
@@ -58,6 +63,22 @@ def _figures(scores: Scores) -> Iterable[Sequence[str]]:
     for figure in scores.figures:
         bounds = " to ".join(map(_number, figure.bounds)) if figure.of else NONE
         yield figure.tiers, figure.text, str(figure.of), _number(figure.value), bounds, _number(figure.cosine)
+
+
+def _calibration(scores: Scores) -> Iterable[Sequence[str]]:
+    for kept in scores.calibration:
+        known, withheld = kept.in_catalogue, kept.withheld
+        bounds = " to ".join(map(_percent, known.bounds)) if known.of else NONE
+        pooled = Rate(known.right + withheld.right, known.of + withheld.of)
+        confidence = f"{kept.low:g} to {kept.high:g}"
+        yield (
+            confidence,
+            _count(known),
+            _percent(known.share),
+            bounds,
+            _count(withheld),
+            _percent(pooled.share),
+        )
 
 
 def _by_effect(scores: Scores) -> Iterable[Sequence[str]]:

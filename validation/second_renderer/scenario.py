@@ -4,20 +4,22 @@
 comes from its own seed, so that recordings with different effects can share one and its rendered layers.
 `followed_by` lets a scenario go on with an experiment that its diagnosis asked for.
 Tiers: `A` one effect in the catalogue's form, `C` one in another form, `D` two effects, `E` none, `F` one in
-a plain run: straight, and all frames taken alike. Every value that `[tolerance]` names is off by a draw from
-it in all of them.
+a plain run: straight, and all frames taken alike; in more joints and views `G` one in its further form, `H`
+three effects, `I` none, with a seam and values that are hard. Every value that `[tolerance]` names is off by
+a draw from it in all of them, in `I` from its tails.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
+from scipy.stats import norm
 
 from noise_model.compiled.arrays import Float64
 from noise_model.setup import Setup
@@ -26,12 +28,14 @@ from sim_to_real.decision.experiments import N_MORE, Experiment
 from tracker.state import Frame
 from validation.second_renderer.world import (
     FORMS,
+    FURTHER,
     apply_moment_effects,
     apply_world_effects,
     expected_charge,
+    form_of,
     read_out,
 )
-from validation.second_renderer.world_effect import CATALOGUE, Generator, HiddenEffect, Moment
+from validation.second_renderer.world_effect import CATALOGUE, Generator, HiddenEffect, Moment, signed
 from validation.second_renderer.world_light import Studio, TrueWorld
 from validation.second_renderer.world_stated import (
     CURRENT_A,
@@ -41,11 +45,21 @@ from validation.second_renderer.world_stated import (
     WorldMotion,
     balanced,
     draw_stated,
+    draw_wide,
 )
 from validation.second_renderer.world_surface import Departure, TrueSurface
 
-TIERS = {"A": 1, "C": 1, "D": 2, "E": 0, "F": 1}
+TIERS = {"A": 1, "C": 1, "D": 2, "E": 0, "F": 1, "G": 1, "H": 3, "I": 0}
 """How many effects a tier hides."""
+
+WIDE_TIERS = "GHI"
+"""The tiers of more joints and views (`world_stated.draw_wide`)."""
+
+WIDE_STREAM = 6
+"""The stream of their worlds' draws; that of others is 0."""
+
+UNBOUNCED = ("flat", "butt", "outside_corner")
+"""Joints without faces that light each other visibly."""
 
 RATE_HZ, N_FRAMES = 10.0, 24
 LOOKED_AT_S = (0.3, 1.2, 2.0)
@@ -61,8 +75,15 @@ PAUSE_S = POSE_TAIL_S + MOVE_S + POSE_LEAD_S
 WITHIN = 3.0
 """So many of its tolerances a value may be off without being a gap."""
 
+TAIL_FROM = 1.5
+"""In tier I every value is off by so many of its tolerances or more."""
+
 FULL_STRIPE_E = 30_000.0
 """The stripe's nominal peak where blooming is hidden: without saturation there is none."""
+
+
+Tolerances = Callable[[Generator, int], Float64]
+"""Draws by how many of its tolerances each of so many values is off (n,)."""
 
 
 @dataclass(frozen=True)
@@ -167,18 +188,19 @@ def draw(
     """
     if tier not in TIERS:
         raise ValueError(f"tier {tier!r} is not known: there are {', '.join(TIERS)}")
-    of_world = np.random.default_rng([seed if world_seed is None else world_seed, 0])
-    of_effects, of_values, of_order = (np.random.default_rng([seed, n]) for n in (1, 2, 3))
-    stated, motion = draw_stated(of_world, joint, width_px)
-    stated = balanced(stated, motion, LOOKED_AT_S)
-    departure = Departure(
-        of_world.uniform(-1.0, 1.0), of_world.uniform(100.0, 200.0), of_world.uniform(-0.01, 0.01)
+    of_world = np.random.default_rng(
+        [seed if world_seed is None else world_seed, WIDE_STREAM if tier in WIDE_TIERS else 0]
     )
-    T_tool_camera = _draw_camera(of_world, stated)
+    of_effects, of_values, of_order = (np.random.default_rng([seed, n]) for n in (1, 2, 3))
+    stated, motion = (draw_wide if tier in WIDE_TIERS else draw_stated)(of_world, joint, width_px)
+    stated = balanced(stated, motion, LOOKED_AT_S)
+    departure = _draw_hard_seam(of_world) if tier == "I" else _draw_seam(of_world)
+    tolerances = _in_tails if tier == "I" else _within_tolerance
+    T_tool_camera = _draw_camera(of_world, stated, tolerances)
     hidden = _draw_effects(of_effects, tier, stated, effects, form, strength)
     if any(effect.id == "blooming" for effect in hidden):
         stated = replace(stated, laser=replace(stated.laser, peak_e=FULL_STRIPE_E))
-    true = _draw_true(of_values, stated, T_tool_camera)
+    true = _draw_true(of_values, stated, T_tool_camera, tolerances)
     world = TrueWorld(true, np.eye(4), departure)
     if tier == "F":
         return Scenario(seed, tier, stated, world, motion.straight(), _plain_switches(is_dry), hidden)
@@ -274,12 +296,19 @@ def _parts(scenario: Scenario) -> Iterator[tuple[range, tuple[float, float]]]:
             yield part, (float(motion.T_base_tool(first_s)[0, 3]), float(motion.T_base_tool(last_s)[0, 3]))
 
 
-def _draw_camera(draw: Generator, stated: Setup) -> Float64:
+def _draw_seam(draw: Generator) -> Departure:
+    return Departure(draw.uniform(-1.0, 1.0), draw.uniform(100.0, 200.0), draw.uniform(-0.01, 0.01))
+
+
+def _draw_hard_seam(draw: Generator) -> Departure:
+    """Draw a seam that sways and slopes as much as it may, or two thirds of that."""
+    y_amp, slope = signed(draw, draw.uniform(0.8, 1.2)), signed(draw, draw.uniform(0.013, 0.02))
+    return Departure(y_amp, draw.uniform(100.0, 200.0), slope)
+
+
+def _draw_camera(draw: Generator, stated: Setup, tolerances: Tolerances) -> Float64:
     tolerance = stated.tolerance
-    turn, move = (
-        tolerance.hand_eye_deg * _within_tolerance(draw, 3),
-        tolerance.hand_eye_mm * _within_tolerance(draw, 3),
-    )
+    turn, move = tolerance.hand_eye_deg * tolerances(draw, 3), tolerance.hand_eye_mm * tolerances(draw, 3)
     return moved(stated.camera.T_tool_camera, turn, move)
 
 
@@ -288,9 +317,15 @@ def _within_tolerance(draw: Generator, count: int) -> Float64:
     return np.clip(draw.standard_normal(count), -WITHIN, WITHIN)
 
 
-def _draw_true(draw: Generator, stated: Setup, T_tool_camera: Float64) -> Setup:
+def _in_tails(draw: Generator, count: int) -> Float64:
+    """Draw so many normal numbers of a size from `TAIL_FROM` to `WITHIN`."""
+    sizes = norm.ppf(draw.uniform(norm.cdf(TAIL_FROM), norm.cdf(WITHIN), count))
+    return np.asarray(sizes * draw.choice([-1.0, 1.0], count))
+
+
+def _draw_true(draw: Generator, stated: Setup, T_tool_camera: Float64, tolerances: Tolerances) -> Setup:
     tolerance, sensor = stated.tolerance, stated.sensor
-    arc, laser, read, black = _within_tolerance(draw, 4)
+    arc, laser, read, black = tolerances(draw, 4)
     return replace(
         stated,
         camera=replace(stated.camera, T_tool_camera=T_tool_camera),
@@ -313,7 +348,7 @@ def _draw_effects(
     strength: float | None,
 ) -> tuple[HiddenEffect, ...]:
     possible = [
-        name for name, forms in FORMS.items() if _possible(name, stated) and (tier != "C" or len(forms) > 1)
+        name for name, forms in FORMS.items() if is_possible(name, stated) and (tier != "C" or len(forms) > 1)
     ]
     drawn = [possible[n] for n in draw.permutation(len(possible))[: TIERS[tier]]]
     chosen = drawn if effects is None else list(effects)
@@ -324,21 +359,21 @@ def _draw_effects(
         if name not in possible:
             raise ValueError(f"{name} cannot be hidden in tier {tier} on a {stated.joint.type}")
         others = [other for other in FORMS[name] if other != CATALOGUE]
-        drawn_form = CATALOGUE if tier != "C" else others[draw.integers(len(others))]
-        of_form = drawn_form if form is None else form
-        if of_form not in FORMS[name]:
-            raise ValueError(f"{name} has no form {of_form!r}: it has {', '.join(FORMS[name])}")
+        drawn_form = FURTHER[name].name if tier == "G" else CATALOGUE
+        if tier == "C":
+            drawn_form = others[draw.integers(len(others))]
+        chosen_form = form_of(HiddenEffect(name, drawn_form if form is None else form))
         drawn_strength = float(draw.random())
-        values = FORMS[name][of_form].draw(draw, drawn_strength if strength is None else strength, stated)
-        hidden.append(HiddenEffect(name, of_form, values))
+        values = chosen_form.draw(draw, drawn_strength if strength is None else strength, stated)
+        hidden.append(HiddenEffect(name, chosen_form.name, values))
     return tuple(hidden)
 
 
-def _possible(effect: str, stated: Setup) -> bool:
-    """Say whether an effect can be seen: light bounces between faces that are bright and face each other."""
+def is_possible(effect: str, stated: Setup) -> bool:
+    """Return True for an effect that can be seen: light bounces between bright faces that face each other."""
     if effect != "interreflection":
         return True
-    return stated.joint.type != "flat" and stated.material.kappa_diff > stated.material.kappa_spec
+    return stated.joint.type not in UNBOUNCED and stated.material.kappa_diff > stated.material.kappa_spec
 
 
 def _draw_switches(draw: Generator) -> tuple[StatedSwitches, ...]:
