@@ -1,18 +1,17 @@
 """The diagnosis of a recording: is there a gap, which effects cause it, how far it shrinks with them."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from noise_model.compiled.arrays import Bool
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.data.binned import ObservedRecording, PoseAt, observe
-from sim_to_real.data.cross_validation import split_holdout
+from sim_to_real.baseline import OnStage, fit_baseline
+from sim_to_real.data.binned import ObservedRecording, PoseAt
 from sim_to_real.decision.holdout_gap import excess_map, measure_gap, predict_holdout
 from sim_to_real.decision.next_experiment import next_measurement
 from sim_to_real.decision.recording_cost import RecordingCost, found_effects
@@ -37,14 +36,11 @@ from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.policy import POLICY, Policy
 from sim_to_real.evidence.weigh import Judgement, WeightedHypotheses, judge, weigh
 from sim_to_real.fit.covariates import covariates
-from sim_to_real.fit.gauss_newton import Refit, converge, refit, refit_at
+from sim_to_real.fit.gauss_newton import Refit, refit, refit_at
 from sim_to_real.fit.linearized_model import LinearizedModel
-from sim_to_real.fit.metal_of_stripe import metal_of_stripe
 from sim_to_real.fit.trend import trend_among
 from sim_to_real.variance.random_effects import RandomEffects, random_effects
 from tracker.state import Frame
-
-OnStage = Callable[[str, float], None]
 
 
 def diagnose(
@@ -91,18 +87,8 @@ def _diagnose(
     threads: int,
     policy: Policy,
 ) -> Diagnosis:
-    tell("tracking the seam", 0.0)
-    observed = observe(setup, frames, pose_at)
-    holdout = split_holdout(observed, 0.25)
-    train = _training_frames(observed, holdout)
-    if "material" in setup.missing:
-        tell("fitting the metal", 0.03)
-        change = metal_of_stripe(train, threads)
-        observed, train = observed.of_metal(change), train.of_metal(change)
-    tell("fitting nuisances", 0.05)
-    model, before, random_before = baseline_of(LinearizedModel(train, threads), without)
-    # Pixels are weighed with the read noise that is seen; that of bins comes from the bins themselves.
-    seen = observed.with_read_noise(random_before.read_ratio)
+    baseline = fit_baseline(setup, frames, pose_at, without, tell, threads)
+    model, before, random_before = baseline.model, baseline.fitted, baseline.random
     tell("looking at every effect", 0.1)
     of_bins = covariates(model, before)
     weighed = weigh(
@@ -113,7 +99,7 @@ def _diagnose(
         setup=setup,
         frames=frames,
         pose_at=pose_at,
-        observed=seen.subset(holdout),
+        observed=baseline.held_out,
         model=model,
         before=before,
         without=without,
@@ -231,26 +217,6 @@ class HeldOut(NamedTuple):
         return measure_gap(predicted, self.setup)
 
 
-def _training_frames(observed: ObservedRecording, holdout: Bool) -> ObservedRecording:
-    """Return the frames that are not held out (n_frames,); ValueError if they show nothing to compare."""
-    if not holdout.any():
-        raise ValueError(
-            "no two frames have light, exposure and current alike, so none can be held out of the fit: "
-            "record each kind twice or more"
-        )
-    train = observed.subset(~holdout)
-    if not any(frame.keep.any() for frame in train.frames):
-        raise ValueError(
-            "nothing can be compared, all that shows of the joint is saturated: shorten the exposure"
-        )
-    if train.lit.any() and not train.shows_arc.any():
-        raise ValueError(
-            "nothing that the arc lights can be compared, all of it is saturated: shorten the exposure, "
-            "or leave the frames with the arc out"
-        )
-    return train
-
-
 def _silent(text: str, share: float) -> None:
     pass
 
@@ -265,22 +231,6 @@ def _never_falling(on_stage: OnStage) -> OnStage:
         on_stage(text, largest)
 
     return tell
-
-
-def baseline_of(
-    model: LinearizedModel, without: Sequence[str]
-) -> tuple[LinearizedModel, Refit, RandomEffects]:
-    """Fit the nuisances alone, and return the model there; random effects are counted as noise."""
-    model = model.anchored_at(model.neutral, {})
-    fitted = refit(model, {}, model.neutral)
-    model.mask_edges(fitted.nuisance, {})
-    model.widen_noise_for_bends(fitted.nuisance, {})
-    fitted = converge(model, fitted)
-    random = random_effects(model, fitted, without)
-    if random.effects:
-        model.take_noise(random.sigmas_dn)
-    model = model.anchored_at(fitted.nuisance, {})
-    return model, refit(model, {}, fitted.nuisance), random
 
 
 def _with_random_effects(

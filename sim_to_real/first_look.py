@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from threadpoolctl import threadpool_limits
 
 from noise_model.setup import Setup
+from sim_to_real.baseline import baseline_of
 from sim_to_real.data.binned import PoseAt, observe
-from sim_to_real.diagnose import baseline_of
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.search.score_test import FAMILIES, score_effects
 from tracker.state import Frame
