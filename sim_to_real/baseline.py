@@ -1,4 +1,4 @@
-"""What a setup predicts of a recording by itself: nuisances fitted to some frames, the others held out."""
+"""Fit of the nuisances alone to a part of a recording, the other frames held out."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -34,9 +34,9 @@ def fit_baseline(
     setup: Setup,
     frames: Sequence[Frame],
     pose_at: PoseAt,
+    threads: int,
     without: Sequence[str],
     tell: OnStage,
-    threads: int,
 ) -> Baseline:
     """Hold a quarter of a recording's frames out, and fit the nuisances to the others.
 

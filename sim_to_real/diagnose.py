@@ -87,7 +87,7 @@ def _diagnose(
     threads: int,
     policy: Policy,
 ) -> Diagnosis:
-    baseline = fit_baseline(setup, frames, pose_at, without, tell, threads)
+    baseline = fit_baseline(setup, frames, pose_at, threads, without, tell)
     model, before, random_before = baseline.model, baseline.fitted, baseline.random
     tell("looking at every effect", 0.1)
     of_bins = covariates(model, before)

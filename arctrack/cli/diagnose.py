@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from arctrack.diagnose.diagnose import DiagnosisJob, DiagnosisResult, OnStage, Outcome
+    from arctrack.recording import Recording
 
 
 def diagnose(
@@ -34,16 +35,26 @@ def diagnose(
     apply: Annotated[
         bool, typer.Option("--apply", help="Write the effects that were found into recording.toml.")
     ] = False,
+    on: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RECORDING",
+            help="Another recording of the same cell: how far the effects that were found close its gap.",
+        ),
+    ] = None,
     workers: Workers = 1,
     scheduler: Scheduler = None,
 ) -> None:
     """Compare recordings with the model: is there a gap, where, which effect causes it, how far it closes.
 
-    Writes report.html, report.json, where.npz and predicted.npz. Frames whose arc is on need the setup's
-    tables of arc, filter and material; a plain laser's need none of them. A recording that fails does not
-    stop the others; the exit code is then 2.
+    Writes report.html, report.json, where.npz and predicted.npz. With --apply or --on it also writes
+    applied.html, applied.json and applied.npz: the gap without and with the effects, on frames that no fit
+    saw. Frames whose arc is on need the setup's tables of arc, filter and material; a plain laser's need none
+    of them. A recording that fails does not stop the others; the exit code is then 2.
     """
-    look_at_recordings(recordings, setup)
+    if on is not None and len(recordings) > 1:
+        raise ArctrackError("--on tries the effects of one recording: diagnose one at a time")
+    look_at_recordings(recordings if on is None else [*recordings, on], setup)
     from arctrack.cli import console
     from arctrack.cli.diagnose_text import print_many, print_one
     from arctrack.diagnose.diagnose import DiagnosisResult, jobs_for
@@ -53,14 +64,14 @@ def diagnose(
         raise ArctrackError("--apply writes into the recording's own recording.toml: leave --setup out")
     check_choice(workers, scheduler)
     jobs = jobs_for(recordings, out, setup, without or ())
+    other = None if on is None else _other(jobs[0], on)
     outcomes = sorted(_outcomes(jobs, workers, scheduler), key=lambda outcome: jobs.index(outcome.job))
     done = [outcome for outcome in outcomes if isinstance(outcome, DiagnosisResult)]
     failed = [outcome for outcome in outcomes if isinstance(outcome, FailedJob)]
     if done:
         (print_one if len(jobs) == 1 else print_many)(done)
     complaints = [*(failure.problem for failure in failed), *(d.complaint for d in done if d.complaint)]
-    if apply:
-        complaints += _apply(done)
+    complaints += _add_effects(done, apply, other)
     console.complain(complaints)
     for failure in failed:
         if not failure.foreseen:
@@ -77,7 +88,7 @@ def _outcomes(jobs: list[DiagnosisJob], workers: int, scheduler: str | None) -> 
 
     with _progress() as bar:
         if scheduler is None and min(workers, len(jobs)) == 1:
-            yield from engine.in_turn(jobs, lambda job: _stages(bar, job))
+            yield from engine.in_turn(jobs, lambda job: _stages(bar, job.name))
             return
         task = bar.add_task("recordings", total=len(jobs))
         with executor_of(min(workers, len(jobs)), scheduler) as executor:
@@ -86,15 +97,37 @@ def _outcomes(jobs: list[DiagnosisJob], workers: int, scheduler: str | None) -> 
                 yield outcome
 
 
-def _apply(done: list[DiagnosisResult]) -> list[str]:
-    """Write what was found into each recording; return a line for each that got nothing."""
+def _other(job: DiagnosisJob, on: Path) -> Recording:
+    from arctrack.diagnose.applied import other_recording
+
+    return other_recording(job, on)
+
+
+def _add_effects(done: list[DiagnosisResult], is_written: bool, other: Recording | None) -> list[str]:
+    """Write what was found into each recording, and print how far it closes the gap of frames held out.
+
+    Returns a line for each recording where nothing was added.
+    """
     from arctrack.cli import console
-    from arctrack.diagnose.diagnose import apply
+    from arctrack.cli.diagnose_text import print_applied
+    from arctrack.diagnose.applied import apply_to_other, apply_to_own, write_applied
+    from arctrack.diagnose.diagnose import apply, named_effects
 
     complaints = []
     for diagnosed in done:
         try:
-            console.say(apply(diagnosed))
+            is_named = bool(named_effects(diagnosed.diagnosis))
+            if is_written and (is_named or other is None):
+                console.say(apply(diagnosed))
+            if other is not None:
+                with _progress() as bar:
+                    applied = apply_to_other(diagnosed, other, _stages(bar, other.name))
+            elif is_written and is_named:
+                applied = apply_to_own(diagnosed)
+            else:
+                continue
+            write_applied(applied)
+            print_applied(applied)
         except ArctrackError as error:
             complaints.append(str(error))
     return complaints
@@ -111,10 +144,10 @@ def _progress() -> Progress:
     )
 
 
-def _stages(bar: Progress, job: DiagnosisJob) -> OnStage:
-    task = bar.add_task(job.name, total=1.0)
+def _stages(bar: Progress, name: str) -> OnStage:
+    task = bar.add_task(name, total=1.0)
 
     def on_stage(stage: str, share_done: float) -> None:
-        bar.update(task, description=f"{job.name}: {stage}", completed=share_done)
+        bar.update(task, description=f"{name}: {stage}", completed=share_done)
 
     return on_stage

@@ -7,9 +7,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from arctrack.cli import console
+from arctrack.diagnose.applied_files import AppliedEffects
 from arctrack.diagnose.diagnose import DiagnosisResult
-from arctrack.diagnose.diagnosis_files import REPORT_PAGE
-from arctrack.diagnose.pages import cost_words, words
+from arctrack.diagnose.diagnosis_files import ADDED_PAGE, REPORT_PAGE
+from arctrack.diagnose.pages import applied_page, cost_words, words
 from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, RankedEffect
 
 
@@ -36,6 +37,12 @@ def print_one(done: Sequence[DiagnosisResult]) -> None:
             for table in _rankings(diagnosis):
                 screen.print(table)
         console.say(f"report in {diagnosed.job.folder / REPORT_PAGE}")
+
+
+def print_applied(applied: AppliedEffects) -> None:
+    """Print how far effects that were added close the gap of frames that no fit saw."""
+    console.say(applied_page.headline(applied))
+    console.say(f"{applied_page.counted(applied)} The picture is in {applied.folder / ADDED_PAGE}")
 
 
 def print_many(done: Sequence[DiagnosisResult]) -> None:

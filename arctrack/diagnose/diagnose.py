@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from arctrack import workers
-from arctrack.diagnose.diagnosis_files import FILES, REPORT_PAGE, write_numbers
+from arctrack.diagnose.diagnosis_files import ADDED_FILES, FILES, REPORT_PAGE, write_numbers
 from arctrack.errors import ArctrackError, in_file
 from arctrack.output import folders_for, make_folder, real, write_whole
 from arctrack.printable import printable
@@ -48,12 +48,13 @@ class DiagnosisJob:
 class DiagnosisResult:
     """A recording after its diagnosis, which comes without its images: those are in the folder.
 
-    `setup` is the one that the recording was held against; `complaint` is one line on frames that could not
-    be read, None if all could.
+    `setup` is the one that the recording's `n_frames` were held against; `complaint` is one line on frames
+    that could not be read, None if all could.
     """
 
     job: DiagnosisJob
     setup: Setup
+    n_frames: int
     diagnosis: Diagnosis
     warnings: tuple[str, ...]
     complaint: str | None
@@ -96,7 +97,7 @@ def diagnose_recording(
 
     recording = read_recording(job.recording, job.setup_path)
     require_images(recording.setup, recording.setup_path, "arctrack check asks a profiler's recording")
-    make_folder(job.folder, FILES)
+    make_folder(job.folder, FILES + ADDED_FILES)
     frames, bad_frames = recording.readable_frames()
     poses = recording.pose_buffer()
     try:
@@ -117,6 +118,7 @@ def diagnose_recording(
     return DiagnosisResult(
         job,
         recording.setup,
+        len(frames),
         without_images(result),
         recording.warnings,
         recording.complaint(bad_frames, "the diagnosis is that of the others"),
@@ -147,14 +149,20 @@ def apply(diagnosed: DiagnosisResult) -> str:
     path = job.recording / FILE_NAME
     if diagnosis.verdict is DiagnosisVerdict.NO_GAP:
         return f"{path}: no gap, so there is nothing to write"
-    if diagnosis.verdict is not DiagnosisVerdict.EFFECTS or not diagnosis.effects:
+    effects = named_effects(diagnosis)
+    if not effects:
         raise in_file(
             path,
             f"nothing was written: --apply writes effects that a verdict names, this one is "
             f"{diagnosis.verdict.value!r}",
         )
-    write_whole(path, with_effects(path, diagnosis.effects))
-    return f"{path}: wrote {', '.join(map(_table, diagnosis.effects))}"
+    write_whole(path, with_effects(path, effects))
+    return f"{path}: wrote {', '.join(map(_table, effects))}"
+
+
+def named_effects(diagnosis: Diagnosis) -> tuple[NamedEffect, ...]:
+    """Return the effects that a verdict is sure of: those alone may be added to a setup."""
+    return diagnosis.effects if diagnosis.verdict is DiagnosisVerdict.EFFECTS else ()
 
 
 def without_images(diagnosis: Diagnosis) -> Diagnosis:

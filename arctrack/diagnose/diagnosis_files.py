@@ -10,12 +10,26 @@ from typing import Any
 import numpy as np
 
 from arctrack.output import write_whole, writing
-from sim_to_real.diagnosis import Diagnosis, EffectCost, NamedEffect, Next, RankedEffect, Reason, Where
+from sim_to_real.diagnosis import (
+    Diagnosis,
+    EffectCost,
+    Gap,
+    HeldOutPrediction,
+    NamedEffect,
+    Next,
+    RankedEffect,
+    Reason,
+    Where,
+)
 
 REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ = "report.json", "where.npz", "predicted.npz"
 REPORT_PAGE = "report.html"
 FILES = (REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ, REPORT_PAGE)
 """Every file that a diagnosis writes."""
+
+ADDED_JSON, ADDED_NPZ, ADDED_PAGE = "applied.json", "applied.npz", "applied.html"
+ADDED_FILES = (ADDED_JSON, ADDED_NPZ, ADDED_PAGE)
+"""Further files where effects that were found are added to the setup."""
 
 DIGITS, ALL_DIGITS = 6, 17
 """Significant digits of a number in report.json, and those that say a float exactly."""
@@ -31,10 +45,15 @@ def write_numbers(diagnosis: Diagnosis, folder: Path, without: Sequence[str] = (
     z = diagnosis.where.z.astype(np.float32)
     with writing(folder / WHERE_NPZ):
         np.savez_compressed(folder / WHERE_NPZ, z=np.abs(z), sign=np.sign(z))
-    predicted = diagnosis.predicted
-    with writing(folder / PREDICTED_NPZ):
+    write_predictions(diagnosis.predicted, folder / PREDICTED_NPZ)
+    write_json(report(diagnosis, without), folder / REPORT_JSON)
+
+
+def write_predictions(predicted: HeldOutPrediction, path: Path) -> None:
+    """Write held-out frames and their predictions as arrays; ArctrackError if they cannot be written."""
+    with writing(path):
         np.savez_compressed(
-            folder / PREDICTED_NPZ,
+            path,
             frames=predicted.frames,
             before=predicted.before.astype(np.float32),
             after=predicted.after.astype(np.float32),
@@ -42,31 +61,28 @@ def write_numbers(diagnosis: Diagnosis, folder: Path, without: Sequence[str] = (
             variance_after=predicted.variance_after.astype(np.float32),
             recorded=predicted.recorded,
         )
-    text = json.dumps(report(diagnosis, without), indent=2, allow_nan=False)
-    write_whole(folder / REPORT_JSON, text + "\n")
+
+
+def read_predictions(path: Path) -> HeldOutPrediction:
+    """Return the held-out frames and predictions that `write_predictions` wrote."""
+    with np.load(path) as arrays:
+        return HeldOutPrediction(**arrays)
+
+
+def write_json(content: Mapping[str, Any], path: Path) -> None:
+    """Write a file for programs; ArctrackError if it cannot be written."""
+    write_whole(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 def report(diagnosis: Diagnosis, without: Sequence[str] = ()) -> dict[str, Any]:
     """Return the content of report.json; what is not known is null."""
-    gap = diagnosis.gap
     content = {
         "format": "arctrack-diagnosis/1",
         "verdict": diagnosis.verdict.value,
-        "effects": [_named(effect) for effect in diagnosis.effects],
+        "effects": [named_effect(effect) for effect in diagnosis.effects],
         "ranking": [_ranked(candidate) for candidate in diagnosis.ranking],
         "ambiguous_with": diagnosis.ambiguous_with,
-        "gap": {
-            "before": gap.before,
-            "after": gap.after,
-            "floor": gap.floor,
-            "closed": gap.closed,
-            "ci95": gap.ci95,
-            "rms_dn": _before_after(gap.rms_dn),
-            "seam_mm": _before_after(gap.seam_mm),
-            "p_nearer": gap.p_nearer,
-            "seam_lateral_mm": _before_after(gap.seam_lateral_mm),
-            "seam_vertical_mm": _before_after(gap.seam_vertical_mm),
-        },
+        "gap": gap_numbers(diagnosis.gap),
         "where": _where(diagnosis.where),
         "next": _next(diagnosis.next),
         "not_resolvable": diagnosis.not_resolvable,
@@ -81,7 +97,24 @@ def report(diagnosis: Diagnosis, without: Sequence[str] = ()) -> dict[str, Any]:
     return rounded
 
 
-def _named(effect: NamedEffect) -> dict[str, Any]:
+def gap_numbers(gap: Gap) -> dict[str, Any]:
+    """Return a gap's numbers by name."""
+    return {
+        "before": gap.before,
+        "after": gap.after,
+        "floor": gap.floor,
+        "closed": gap.closed,
+        "ci95": gap.ci95,
+        "rms_dn": _before_after(gap.rms_dn),
+        "seam_mm": _before_after(gap.seam_mm),
+        "p_nearer": gap.p_nearer,
+        "seam_lateral_mm": _before_after(gap.seam_lateral_mm),
+        "seam_vertical_mm": _before_after(gap.seam_vertical_mm),
+    }
+
+
+def named_effect(effect: NamedEffect) -> dict[str, Any]:
+    """Return a named effect's keys."""
     parameters = {name: asdict(estimate) for name, estimate in effect.parameters.items()}
     named = {
         "id": effect.id,

@@ -64,6 +64,29 @@ def predict_holdout(
     )
 
 
+def combined_predictions(
+    first: HeldOutPrediction, second: HeldOutPrediction, same_random: bool
+) -> HeldOutPrediction:
+    """Return the same frames by two setups: before as the first predicts them, after as the second does.
+
+    Pixels count that count in both. If both have the `same_random` effects, all are in the sigmas of the
+    prediction that is nearer to the frames.
+    """
+    counts = np.isfinite(first.variance) & np.isfinite(second.variance_after)
+    apart = [np.where(counts, np.abs(fit.recorded - fit.after), 0.0).sum() for fit in (first, second)]
+    nearer = first.variance if apart[0] < apart[1] else second.variance_after
+    before, after = (nearer, nearer) if same_random else (first.variance, second.variance_after)
+    inf = np.float32(np.inf)
+    return HeldOutPrediction(
+        first.frames,
+        first.recorded,
+        first.before,
+        second.after,
+        np.where(counts, before, inf),
+        np.where(counts, after, inf),
+    )
+
+
 def _variances(predictions: Sequence[Prediction], counts: Sequence[Bool]) -> Float32:
     pairs = zip(predictions, counts, strict=True)
     return np.array(
