@@ -151,6 +151,26 @@ def change(path: Path, edit: Callable[[dict], None]) -> None:
     path.write_text(json.dumps(content))
 
 
+def content_confidence(folder: Path) -> float:
+    """The confidence of what the first recording's result names."""
+    result = json.loads((folder / "results" / "0001.json").read_text())
+    return float(result["report"]["effects"][0]["confidence"])
+
+
+def test_of_g_what_was_named_is_withheld(
+    tmp_path: Path, calls: Calls, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        diagnose_check, "plan", lambda *asked: tuple(replace(one, tier="G") for one in PLANNED[:1])
+    )
+    make(tmp_path / "check", replace(ASKED, tiers="BG"), 1, quiet)
+    run(tmp_path / "check", 1, quiet)
+    assert sorted(calls.diagnosed) == [(), ("gamma",)]
+    rates = {one.id: one.rate for one in open_labels(tmp_path / "check").scores.rates}
+    assert (rates["unknown_BG"].right, rates["unknown_BG"].of) == (1, 1)
+    assert "unknown_B" not in rates
+
+
 def test_from_the_making_to_the_table(tmp_path: Path, calls: Calls) -> None:
     folder = tmp_path / "check"
     result = command("make", "--out", folder, "--draws", 1, "--quiet-draws", 1, "--tiers", "ABE", "--seed", 3)
@@ -183,6 +203,15 @@ def test_from_the_making_to_the_table(tmp_path: Path, calls: Calls) -> None:
     rate = content["scores"]["rates"][0]["rate"]
     assert (rate["right"], rate["of"], rate["share"]) == (1, 1, 1.0)
     assert rate["bounds"] == pytest.approx([0.20654931, 1.0])
+    bins = content["scores"]["calibration"]
+    assert [one["low"] for one in bins] == [0.0, 0.5, 0.8, 0.9, 0.95, 0.99]
+    (held,) = [one for one in bins if one["in_catalogue"]["of"]]
+    assert held["low"] < content_confidence(folder) <= held["high"]
+    assert held["in_catalogue"]["share"] == 1.0
+    assert held["withheld"] == {"right": 0, "of": 0, "share": None, "bounds": [None, None]}
+    assert (
+        f"| {held['low']:g} to {held['high']:g} | 1 of 1 | 100 % | 21 % to 100 % | 0 of 0 | 100 % |" in lines
+    )
 
 
 @pytest.mark.slow

@@ -144,6 +144,7 @@ def scores():
     ("name", "right", "of", "cosine"),
     [
         ("top1_A", 4, 9, (3, 9)),
+        ("top1_sure_A", 4, 9, (3, 9)),
         ("top3_A", 6, 9, (4, 9)),
         ("alone_A", 3, 9, (3, 9)),
         ("best_A", 6, 9, (3, 9)),
@@ -162,7 +163,10 @@ def scores():
         ("top1_C", 1, 2, (2, 2)),
         ("top3_C", 2, 2, (2, 2)),
         ("false_unknown_C", 1, 2, (0, 2)),
+        ("wrong_sure_B", 0, 2, (0, 0)),
         ("exact_D", 1, 3, (1, 3)),
+        ("exact_open_D", 1, 3, (1, 3)),
+        ("no_wrong_D", 2, 3, (1, 3)),
         ("top1_D", 3, 3, (2, 3)),
         ("detected_D", 3, 3, (3, 3)),
         ("false_alarm", 3, 4, (4, 4)),
@@ -216,6 +220,91 @@ def test_in_a_plain_run_a_set_with_the_hidden_effect_is_no_wrong_answer():
     assert found["in_set_F"] == Rate(2, 6)
     assert found["wrong_F"] == Rate(1, 6)
     assert found["no_gap_F"] == Rate(1, 6)
+
+
+def beside_unknown(*named, confidence=0.97, **other):
+    """An answer that names effects beside something unknown."""
+    return Answer("unknown", named, named, confidence, **(ONE | {"gap_closed": 0.6} | other))
+
+
+WIDE = [
+    # Right for sure, and unknown once it is withheld; then a wrong one for sure, with 0.99 and with 0.94.
+    Case("51", "G", ("gamma",), sure("gamma"), likeness("gamma"), silent("unknown")),
+    Case("52", "G", ("gamma",), sure("gamma"), likeness("fume"), sure("fume", confidence=0.99)),
+    Case("53", "G", ("gamma",), sure("gamma"), likeness("fume"), sure("fume", confidence=0.94)),
+    # Right beside something unknown; a wrong one next to it; a right one, but the gap stays open.
+    Case("54", "G", ("gamma",), beside_unknown("gamma"), likeness("fume")),
+    Case("55", "G", ("gamma",), beside_unknown("gamma", "fume"), likeness("gamma")),
+    Case("56", "G", ("gamma",), sure("gamma", gap_closed=0.89), likeness("gamma"), beside_unknown("fume")),
+    # All three; all three beside something unknown; two of three; one that is not hidden among them; none.
+    Case("61", "H", ("gamma", "fume", "spatter"), sure("fume", "spatter", "gamma")),
+    Case("62", "H", ("gamma", "fume", "spatter"), beside_unknown("gamma", "spatter", "fume")),
+    Case("63", "H", ("gamma", "fume", "spatter"), sure("gamma", "fume", gap_closed=0.95)),
+    Case("64", "H", ("gamma", "fume", "spatter"), sure("gamma", "defocus")),
+    Case("65", "H", ("gamma", "fume", "spatter"), silent("unknown")),
+    Case("66", "H", ("gamma", "fume", "spatter"), Answer("ambiguous", ("gamma", "defocus"), **ONE)),
+    Case("71", "I", (), silent("no_gap")),
+    Case("72", "I", (), sure("hand_eye")),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "right", "of"),
+    [
+        ("top1_G", 6, 6),
+        ("top1_sure_G", 4, 6),
+        ("alone_G", 4, 6),
+        ("unknown_BG", 2, 4),
+        # The third is not sure enough, the sixth names an effect beside something unknown.
+        ("wrong_sure_BG", 1, 4),
+        ("not_withheld_BG", 2, 6),
+        ("exact_H", 1, 6),
+        ("exact_open_H", 2, 6),
+        ("no_wrong_H", 3, 4),
+        ("top1_H", 5, 6),
+        ("detected_H", 6, 6),
+        ("false_alarm_I", 1, 2),
+        ("false_name_I", 1, 2),
+        # Of fourteen first answers and four withheld ones.
+        ("unclosed", 1, 18),
+        ("false_second", 2, 12),
+    ],
+)
+def test_rates_of_a_world_that_moves_on(name, right, of):
+    found = {one.id: one for one in score(WIDE, "BGHI").rates}
+    assert found[name].rate == Rate(right, of)
+    assert "unknown_B" not in found
+    assert found["unknown_BG"].tiers == "B of G"
+    assert found["false_second"].tiers == "GH"
+
+
+def test_calibration_with_the_cause_and_with_it_withheld():
+    scores = score(WIDE, "BGHI")
+    found = {one.id: one for one in scores.figures}
+    # Of G and I: 0.95 right four times, wrong once; 0.97 right twice. Of H none.
+    assert found["calibration_error"].of == 7
+    assert found["calibration_error"].value == pytest.approx(abs(6 - 5 * 0.95 - 2 * 0.97) / 7)
+    assert found["calibration_error"].tiers == "GI"
+    # Withheld: 0.99, 0.94 and 0.97, none of which can be right.
+    assert found["calibration_error_withheld"].of == 3
+    assert found["calibration_error_withheld"].value == pytest.approx((0.99 + 0.94 + 0.97) / 3)
+    assert found["calibration_error_all"].of == 10
+    assert found["calibration_error_all"].value == pytest.approx((9.59 - 6) / 10)
+    curve = {(one.low, one.high): one for one in scores.calibration}
+    assert curve[0.9, 0.95].in_catalogue == Rate(4, 5)
+    assert curve[0.95, 0.99].in_catalogue == Rate(2, 2)
+    assert curve[0.9, 0.95].withheld == Rate(0, 1)
+    assert curve[0.95, 0.99].withheld == Rate(0, 2)
+    assert sum(one.in_catalogue.of + one.withheld.of for one in scores.calibration) == 10
+
+
+def test_a_cause_that_was_not_the_one_withheld_is_no_claim_of_an_unknown():
+    wrong = Case("01", "G", ("gamma",), sure("fume"), again=sure("gamma", confidence=1.0))
+    none = Case("02", "G", ("gamma",), sure("fume", confidence=0.0))
+    scores = score([wrong, none], "BG")
+    assert sum(one.withheld.of for one in scores.calibration) == 0
+    assert scores.calibration[0].in_catalogue == Rate(0, 1)
+    assert {one.id: one.rate for one in scores.rates}["wrong_sure_BG"] == Rate(0, 0)
 
 
 def test_without_experiments_nothing_is_measured(scores):

@@ -95,8 +95,8 @@ def _curved_outline(frame: WorldFrameLight, p: Values) -> None:
 
 def _draw_warming(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
     turn, move = draw.standard_normal(3), draw.standard_normal(3)
-    turn *= magnitude(strength, 0.2, 1.2) / np.linalg.norm(turn)
-    move *= magnitude(strength, 0.2, 1.5) / np.linalg.norm(move)
+    turn *= magnitude(strength, 0.25, 2.0) / np.linalg.norm(turn)
+    move *= magnitude(strength, 0.25, 2.0) / np.linalg.norm(move)
     values = {f"rot_{axis}_deg": float(value) for axis, value in zip("xyz", turn, strict=True)}
     values |= {f"move_{axis}_mm": float(value) for axis, value in zip("xyz", move, strict=True)}
     return {**values, "settle_s": draw.uniform(0.5, 4.0)}
@@ -114,7 +114,7 @@ _CAMERA = ("rot", "deg"), ("move", "mm")
 
 
 def _draw_one_plate_tilt(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"roll_deg": signed(draw, magnitude(strength, 0.4, 4.0)), "side": signed(draw, 1.0)}
+    return {"roll_deg": signed(draw, magnitude(strength, 0.7, 6.0)), "side": signed(draw, 1.0)}
 
 
 def _one_plate_tilted(world: TrueWorld, p: Values) -> TrueWorld:

@@ -159,7 +159,7 @@ class VoigtSheet(SheetProfile):
 
 
 def _draw_voigt(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:
-    return {"lorentz": magnitude(strength, 0.06, 0.6)}
+    return {"lorentz": magnitude(strength, 0.1, 0.7)}
 
 
 def _voigt(world: TrueWorld, p: Values) -> TrueWorld:
