@@ -115,7 +115,7 @@ class EffectCost:
         """Why the cost is unknown; None if it is known."""
         if not self.is_rendered:
             return CostFlag.NOT_RENDERED
-        if self.n_frames == 0:
+        if not self.n_frames:
             return CostFlag.NO_SEAM
         return CostFlag.SEAM_LOST if self.n_lost == self.n_frames else None
 

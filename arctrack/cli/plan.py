@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from noise_model.compiled.arrays import Float64
     from noise_model.plan.plan import Plan, PlanOptions
     from noise_model.setup import Setup
+    from sim_to_real.decision.setup_cost import SetupCost
 
 
 Pair = tuple[float, float]
@@ -71,13 +73,14 @@ def plan(
     """
     look_at_setup(source)
     from arctrack.cli import console
-    from arctrack.cli.plan_text import print_plan
+    from arctrack.cli.plan_text import print_costs, print_plan
+    from arctrack.plan.effect_costs import cost_content
     from noise_model.plan.noise import Surroundings
     from noise_model.plan.plan import PlanOptions
 
     if exposure_ms is not None and not 0.0 < exposure_ms < math.inf:
         raise ArctrackError(f"--exposure-ms {exposure_ms:g}: must be > 0 and finite")
-    setup, poses = _read(source, recorded)
+    setup, run = _read(source, recorded)
     try:
         options = PlanOptions(
             tilt_deg=tilt,
@@ -93,13 +96,14 @@ def plan(
         )
     except ValueError as error:
         raise ArctrackError(str(error)) from None
-    made = _plan(source, setup, options, poses)
+    made, costs = _plan(source, setup, options, run)
     if not as_json:
         print_plan(console.tables(), made)
+        print_costs(console.tables(), costs)
     folder = out or (source if source.is_dir() else source.parent) / "plan"
-    _write(made, torch_radius, folder)
+    _write(made, costs, torch_radius, folder)
     if as_json:
-        say_json("plan", {"source": source, **_content(made), "folder": folder})
+        say_json("plan", {"source": source, **_content(made), "costs": cost_content(costs), "folder": folder})
     else:
         console.say(f"tables and pictures in {folder}")
 
@@ -137,27 +141,48 @@ COUNTED = {
     "map": "tilts",
     "path": "stations",
     "blind stretches": "stretches",
+    "costs": "effects",
 }
 """Units counted in each stage of a plan."""
 
 
-def _read(source: Path, recorded: bool) -> tuple[Setup, list[Float64] | None]:
+class RecordedRun(NamedTuple):
+    """Poses of a recording, the tool's pose by time, and the times, s, of its frames."""
+
+    T_base_tool: list[Float64]
+    pose_at: Callable[[float], Float64]
+    times_s: list[float]
+
+
+def _read(source: Path, recorded: bool) -> tuple[Setup, RecordedRun | None]:
     from arctrack.cli import console
-    from arctrack.recording import read_recording, require_images
+    from arctrack.recording import pose_at, read_recording, require_images
 
     instead = "a profiler's place is its [camera.pose_in_tool]: arctrack simulate shows what it sees there"
     if recorded:
         read = read_recording(source)
         require_images(read.setup, read.setup_path, instead)
         console.warn(read.warnings)
-        return read.setup, list(read.poses.T_base_tool)
+        buffer, known_s = read.pose_buffer(), read.poses.timestamps_s
+
+        def within(time_s: float) -> Float64:
+            pose = pose_at(buffer, min(max(time_s, float(known_s[0])), float(known_s[-1])))
+            assert pose is not None
+            return pose.T_base_tool
+
+        return read.setup, RecordedRun(
+            list(read.poses.T_base_tool), within, [row.timestamp_s for row in read.rows]
+        )
     stated = read_setup(source)
     require_images(stated.setup, stated.path, instead)
     return stated.setup, None
 
 
-def _plan(source: Path, setup: Setup, options: PlanOptions, poses: list[Float64] | None) -> Plan:
+def _plan(
+    source: Path, setup: Setup, options: PlanOptions, run: RecordedRun | None
+) -> tuple[Plan, tuple[SetupCost, ...]]:
     from arctrack.cli import console
+    from arctrack.plan.effect_costs import plan_costs
     from noise_model.plan.plan import make_plan
 
     with console.progress() as bar:
@@ -169,15 +194,19 @@ def _plan(source: Path, setup: Setup, options: PlanOptions, poses: list[Float64]
             bar.update(tasks[stage], completed=done)
 
         try:
-            return make_plan(setup, options, poses, tell)
+            made = make_plan(setup, options, None if run is None else run.T_base_tool, tell)
+            timed = None if run is None else (run.pose_at, run.times_s)
+            return made, plan_costs(made, timed, lambda done, total: tell("costs", done, total))
         except ValueError as error:
             raise in_file(source, str(error)) from None
 
 
-def _write(made: Plan, torch_radius_mm: float, out: Path) -> None:
+def _write(made: Plan, costs: Sequence[SetupCost], torch_radius_mm: float, out: Path) -> None:
+    from arctrack.plan.effect_costs import write_costs
     from arctrack.plan.plan_files import PATH_PICTURE, PLAN_PICTURE, draw_designs, draw_path, write_tables
 
     write_tables(made, out)
+    write_costs(costs, out)
     pictures = {PLAN_PICTURE: draw_designs(made, torch_radius_mm), PATH_PICTURE: draw_path(made)}
     for name, figure in pictures.items():
         try:

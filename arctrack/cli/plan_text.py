@@ -1,7 +1,7 @@
 """A plan in words: the designs worth a look, the paper's two rules, where the sensor is blind."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from rich import box
@@ -13,6 +13,10 @@ from noise_model.plan.plan import Plan
 from noise_model.plan.remedies import Cure
 from noise_model.plan.rules import DesignRule
 from noise_model.plan.search import DesignCandidate
+from sim_to_real.decision.setup_cost import SetupCost, SizeKind
+
+SHOWN_MM = 0.001
+"""Shortest shift of the seam for which an effect is printed, mm."""
 
 MAX_STRETCHES = 12
 """Blind stretches that are printed; path.csv has them all."""
@@ -31,6 +35,55 @@ def print_plan(console: Console, plan: Plan) -> None:
         console.print(f"left out: [effects.{name}], which hardly moves σ", markup=False, soft_wrap=True)
     if len(plan.cures) > MAX_STRETCHES:
         console.print(f"and {len(plan.cures) - MAX_STRETCHES} more stretches, see path.csv", markup=False)
+
+
+def print_costs(console: Console, costs: Sequence[SetupCost]) -> None:
+    """Print what effects cost the seam, at a typical size and at one sigma, the largest first."""
+    typical = {each.cost.id: each for each in costs if each.kind is SizeKind.TYPICAL}
+    one_sigma = {each.cost.id: each for each in costs if each.kind is not SizeKind.TYPICAL}
+    shown = [name for name in typical if max(map(_size_mm, _sizes(name, typical, one_sigma))) >= SHOWN_MM]
+    if not shown:
+        return
+    table = Table(
+        title="cost of an effect that the tracker does not know, mm of seam",
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    table.add_column("effect", no_wrap=True)
+    for heading in ("typical\nside", "\nheight", "1 sigma\nside", "\nheight"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("1 sigma of", no_wrap=True)
+    shown.sort(key=lambda name: -max(map(_size_mm, _sizes(name, typical, one_sigma))))
+    for name in shown:
+        sigma = one_sigma.get(name)
+        table.add_row(
+            name, *_cost_cells(typical[name]), *_cost_cells(sigma), sigma.kind.value if sigma else ""
+        )
+    console.print(table)
+    console.print(f"effects that cost less than {SHOWN_MM:g} mm are in costs.csv", markup=False)
+
+
+def _sizes(
+    name: str, typical: Mapping[str, SetupCost], one_sigma: Mapping[str, SetupCost]
+) -> Iterator[SetupCost]:
+    yield typical[name]
+    if name in one_sigma:
+        yield one_sigma[name]
+
+
+def _size_mm(each: SetupCost) -> float:
+    """Return the shift that ranks a cost, mm: a seam that is lost comes first, what is unknown last."""
+    return each.cost.max_mm if each.cost.is_rendered else 0.0
+
+
+def _cost_cells(each: SetupCost | None) -> tuple[str, str]:
+    if each is None or not each.cost.is_rendered:
+        return "", ""
+    if each.cost.n_lost:
+        return "lost", "lost"
+    return f"{each.cost.lateral_mm.value:.3f}", f"{each.cost.vertical_mm.value:.3f}"
 
 
 def _designs(plan: Plan) -> Table:

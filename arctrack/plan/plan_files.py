@@ -36,8 +36,8 @@ def write_tables(plan: Plan, folder: Path) -> None:
     """Write both tables; ArctrackError if the folder cannot be written to."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _write(folder / PLAN, designs(plan))
-        _write(folder / PATH, stations(plan))
+        write_rows(folder / PLAN, designs(plan))
+        write_rows(folder / PATH, stations(plan))
     except OSError as error:
         raise in_file(folder, f"cannot be written: {error.strerror}") from None
 
@@ -108,7 +108,8 @@ def _cure(cure: Cure | None) -> Row:
 _CURED = ("exposed_sigma_mm", "leaned_sigma_mm", "moved_sigma_mm")
 
 
-def _write(path: Path, rows: Iterable[Row]) -> None:
+def write_rows(path: Path, rows: Iterable[Row]) -> None:
+    """Write rows of the same columns as CSV."""
     rows = list(rows)
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

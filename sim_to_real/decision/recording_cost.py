@@ -1,6 +1,7 @@
 """Costs of a diagnosis' effects in its recording, see `sim_to_real.decision.seam_cost`."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from noise_model.compiled.arrays import Float64
 from noise_model.effects import REGISTRY, Values
 from noise_model.even_sample import evenly
 from noise_model.forward import Renderer
-from sim_to_real.data.binned import ObservedFrame
+from sim_to_real.data.binned import ObservedFrame, ObservedRecording
 from sim_to_real.decision.seam_cost import (
     TRIANGULATED_EFFECTS,
     UNRENDERED_EFFECTS,
@@ -20,6 +21,7 @@ from sim_to_real.decision.seam_cost import (
     bound_of,
     cost_of,
     ranked,
+    seam_in_images,
     triangulation_shifts_mm,
     unknown_cost,
 )
@@ -30,6 +32,7 @@ from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.nuisances import N_LEVELS, apply_levels, apply_nuisances
 from sim_to_real.fit.trend import Trend, trend_among
 from sim_to_real.variance.random_effects import RandomEffects
+from tracker.seam_observations import TRIANGULATION_EFFECTS, SeamObservations
 from tracker.state import Frame
 
 N_FOUND, N_BOUND = 4, 1
@@ -51,15 +54,18 @@ class FoundEffect(NamedTuple):
 
 
 class RecordingCost:
-    """Costs of effects along a recording: a model's frames, with camera, levels and seam of a fit."""
+    """Costs of effects along a recording, with camera, levels and seam of a fit to some of its frames."""
 
-    def __init__(self, frames: Sequence[Frame], model: LinearizedModel, after: Refit) -> None:
+    def __init__(
+        self, frames: Sequence[Frame], observed: ObservedRecording, model: LinearizedModel, after: Refit
+    ) -> None:
         self._known = apply_nuisances(model.observed.setup, after.nuisance)
         self._headers = {frame.index: frame for frame in frames}
-        self._model, self._after = model, after
+        self._observed, self._model, self._after = observed, model, after
         curve = model.renderings.seam_curve(after.effects)
         self._stations_mm = curve.stations_mm
         self._y_z_mm, _ = curve.evaluate(after.nuisance[N_LEVELS:])
+        self._seen = self._seam_in_images()
         self._renderer = Renderer(N_FOUND)
         self._trials: dict[int, tuple[SeamTrial, tuple[ObservedFrame, ...]]] = {}
 
@@ -88,10 +94,9 @@ class RecordingCost:
     def _shifts(self, name: str, n_frames: int, trend: Trend | None) -> tuple[Shifts, Float64]:
         """Return the shifts (n, 2) by an effect's parameters, and the errors without it (n, 2), mm."""
         if name in TRIANGULATED_EFFECTS:
-            seen = self._model.observed.seam_observations
-            without_mm = np.zeros((len(seen.image_px), 2))
+            without_mm = np.zeros((len(self._seen.image_px), 2))
             return lambda values: triangulation_shifts_mm(
-                seen, self._known, name, values, self._course
+                self._seen, self._known, name, values, self._course
             ), without_mm
         trial, chosen = self._trial(n_frames)
 
@@ -116,6 +121,18 @@ class RecordingCost:
             trial = SeamTrial(self._known, list(map(self._scene, chosen)), self._renderer)
             self._trials[n_frames] = trial, chosen
         return self._trials[n_frames]
+
+    def _seam_in_images(self) -> SeamObservations:
+        """Return where all frames with the laser on see the fit's seam; none if the tracker never saw it."""
+        observed = self._observed
+        is_seen = len(observed.seam_observations.image_px) > 0
+        lit = [frame for frame in observed.frames if is_seen and frame.condition.laser_level > 0.0]
+        moving = {
+            name: values for name, values in self._after.effects.items() if name in TRIANGULATION_EFFECTS
+        }
+        there = replace(self._known, effects={**self._known.effects, **moving})
+        times_s, poses = [f.timestamp_s for f in lit], [f.pose_at for f in lit]
+        return seam_in_images(there, times_s, poses, self._course)
 
     def _scene(self, frame: ObservedFrame) -> SceneFrame:
         nuisance = self._after.nuisance

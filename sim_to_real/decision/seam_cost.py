@@ -2,7 +2,7 @@
 
 Two ways lead there, both free of the images' noise. Expected frames are rendered with and without the effect
 and tracked by the same tracker: the difference of its errors is the cost. What camera, lens or clock do is
-triangulation alone: points of the image in which the seam was seen are triangulated with and without them.
+triangulation alone: points of the image in which the seam is seen are triangulated with and without them.
 
 The errors are of the point, so a plate that is tilted costs what it does to the reading: the tracker follows
 a seam that has moved. The interval of a cost is that of the effect's parameters, propagated linearly: along
@@ -24,11 +24,11 @@ from noise_model.fit import within_bounds
 from noise_model.forward import Renderer, predict
 from noise_model.instrument.sensor import saturation_dn
 from noise_model.setup import Setup
-from noise_model.surface.joint import SeamLine, seam_frame
+from noise_model.surface.joint import SeamLine, seam_frame, seam_height_mm, section
 from noise_model.transforms import invert, transform
 from sim_to_real.diagnosis import EffectCost, SeamShift
 from sim_to_real.fit.renderings import RENDERED_EFFECTS
-from tracker.seam.locate import seam_displacement
+from tracker.seam.locate import ridge_mm, seam_displacement
 from tracker.seam_observations import TRIANGULATION_EFFECTS, SeamObservations
 from tracker.state import Frame, Pose
 from tracker.tracker import Tracker
@@ -50,6 +50,9 @@ UNRENDERED_EFFECTS = frozenset({"interreflection", "read_noise"})
 
 N_DRAWS = 400
 """Draws of an effect's parameters: the ends of a 95 % interval scatter by some 5 % of its half-width."""
+
+MEETING_STEPS = 20
+"""Steps by which the laser's sheet meets the seam: each leaves a share of the seam's slope, 0.5 at most."""
 
 FINE_BITS = 16
 """Bits of rendered frames: steps of 1/256 of an 8-bit code move the seam by 0.1 um, whole ones by 2."""
@@ -157,6 +160,41 @@ def _fine(setup: Setup) -> Setup:
     return replace(setup, sensor=fine)
 
 
+def seam_in_images(
+    there: Setup, times_s: Sequence[float], poses: Sequence[Callable[[float], Float64]], course: Course
+) -> SeamObservations:
+    """Return the points in which frames at some times see a seam, free of noise, in the setup that is there.
+
+    `poses` (n) give the tool's (4, 4) for a time about each frame's.
+    """
+    true = apply_setup_effects(there)
+    *normal, offset_mm = true.laser.plane
+    points = np.empty((len(times_s), 3))
+    for n, (time_s, pose_at) in enumerate(zip(times_s, poses, strict=True)):
+        T_base_tool = pose_at(pose_time_s(true, time_s))
+        T_joint_tool = (
+            invert(seam_frame(true.joint, transform(T_base_tool, true.laser.point_mm))) @ T_base_tool
+        )
+        across = T_joint_tool[:3, :3] @ normal
+        off_mm = offset_mm - across @ T_joint_tool[:3, 3]
+        station_mm = float(transform(T_joint_tool, np.array(true.laser.point_mm))[0])
+        for _ in range(MEETING_STEPS):
+            on_seam = _on_seam(true, station_mm, course)
+            station_mm -= float(across @ on_seam + off_mm) / across[0]
+        points[n] = transform(invert(T_joint_tool), _on_seam(true, station_mm, course))
+    image_px = np.empty((0, 2))
+    if len(points):
+        image_px = true.camera.project(transform(invert(true.camera.T_tool_camera), points))
+    return SeamObservations(image_px, np.array(times_s), np.zeros((len(points), 2)), tuple(poses))
+
+
+def _on_seam(true: Setup, station_mm: float, course: Course) -> Float64:
+    """Return the seam's point (3,) at a station, joint frame, mm."""
+    y_mm, z_mm = course(np.array([station_mm]))[0]
+    height_mm = seam_height_mm(true.joint) + ridge_mm(station_mm, section(true.joint).corrugation)
+    return np.array([station_mm, y_mm, z_mm + height_mm])
+
+
 def triangulation_shifts_mm(
     seen: SeamObservations, known: Setup, name: str, values: Values, course: Course
 ) -> Float64:
@@ -164,6 +202,8 @@ def triangulation_shifts_mm(
 
     Camera, lens or clock are really off as the effect says. `seen` are the points in which the seam was seen.
     """
+    if not len(seen.image_px):
+        return np.empty((0, 2))
     there = replace(known, effects={**known.effects, name: values})
     (assumed_mm, found_mm), (true_mm, real_mm) = seen.in_joint(known), seen.in_joint(there)
     # Along a bent seam another station has another true place.
@@ -198,9 +238,10 @@ def cost_of(
     `without_mm` (n, 2) are the errors without the effect, NaN where the tracker sees no seam anyway.
     """
     fitted_mm = shifts_of(spread.values)
-    along = np.array([shifts_of(values) - fitted_mm for values in spread.one_sigma_off(name)])
+    off = spread.one_sigma_off(name)
+    along = np.array([shifts_of(values) - fitted_mm for values in off]).reshape(len(off), *fitted_mm.shape)
     # A step that loses the seam says nothing of how far it moves.
-    along = np.nan_to_num(along.reshape(-1, *fitted_mm.shape))
+    along = np.nan_to_num(along)
     draws = np.random.default_rng(0).standard_normal((N_DRAWS, len(along)))
     drawn = fitted_mm + np.tensordot(draws, along, 1)
     lateral, vertical = (_shift(fitted_mm[:, axis], drawn[:, :, axis]) for axis in (0, 1))

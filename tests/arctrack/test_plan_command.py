@@ -54,7 +54,13 @@ def test_a_plan_from_a_setup(simulated: Path, tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     for text in ("yours", "paper's rules, for mild_steel", "small tilt", "plane of incidence", "61 stations"):
         assert text in result.output
-    assert sorted(path.name for path in out.iterdir()) == ["path.csv", "path.png", "plan.csv", "plan.png"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        "costs.csv",
+        "path.csv",
+        "path.png",
+        "plan.csv",
+        "plan.png",
+    ]
     designs = rows(out / "plan.csv")
     assert [row["design"] for row in designs] == ["yours"] + ["front"] * (len(designs) - 1)
     assert len(designs) > 1
@@ -67,6 +73,11 @@ def test_a_plan_from_a_setup(simulated: Path, tmp_path: Path) -> None:
     assert all(row["blind"] == "0" and row["cure_exposure_s"] == "" for row in stations)
     for name in ("plan.png", "path.png"):
         assert cv2.imread(str(out / name)).shape[1] > 1000
+    costs = {(row["id"], row["size"]): row for row in rows(out / "costs.csv")}
+    assert float(costs["hand_eye", "tolerance"]["lateral_mm"]) > 0.05
+    assert float(costs["gamma", "typical"]["lateral_mm"]) < 0.05
+    assert costs["interreflection", "typical"]["flag"] == "not_rendered"
+    assert "cost of an effect that the tracker does not know" in result.output
 
 
 @pytest.mark.slow

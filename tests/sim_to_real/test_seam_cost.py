@@ -24,6 +24,7 @@ from sim_to_real.decision.seam_cost import (
     bound_of,
     cost_of,
     ranked,
+    seam_in_images,
     triangulation_shifts_mm,
     unknown_cost,
 )
@@ -85,6 +86,19 @@ def seen():
 
 TIMES_S = np.array([0.0, 0.1, 0.2])
 SEAM_DEPTH_MM = SETUP.joint.dimensions["depth_mm"]
+
+
+def test_frames_see_the_seam_where_a_camera_projects_it():
+    """A bent one too: its point lies in the sheet, on the course, and is triangulated there."""
+    along = seam_in_images(NONE, TIMES_S, (moving,) * 3, straight)
+    assert along.image_px == pytest.approx(seen().image_px, abs=1e-6)
+    bent = seam_in_images(NONE, TIMES_S, (moving,) * 3, wavy)
+    stations_mm, displacements_mm = bent.in_joint(NONE)
+    assert displacements_mm == pytest.approx(wavy(stations_mm), abs=1e-6)
+
+
+def wavy(stations_mm):
+    return np.column_stack([3.0 * np.sin(stations_mm / 20.0), 0.05 * stations_mm])
 
 
 def straight(stations_mm):
