@@ -57,7 +57,7 @@ def along_path(path: Path, sigma_mm: Float64) -> tuple[PoseOfTool, list[float]]:
     times_s = path.station_mm / TRAVEL_MM_S
 
     def pose_at(time_s: float) -> Float64:
-        T_base_tool = path.T_base_tool[int(np.argmin(np.abs(times_s - time_s)))].copy()
+        T_base_tool: Float64 = path.T_base_tool[int(np.argmin(np.abs(times_s - time_s)))].copy()
         T_base_tool[:3, 3] = [np.interp(time_s, times_s, axis) for axis in path.T_base_tool[:, :3, 3].T]
         return T_base_tool
 
