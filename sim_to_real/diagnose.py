@@ -131,7 +131,7 @@ def _diagnose(
     where = locate(functions, of_bins, before.residuals, stage, stages, excess_map(predicted))
     tell("costing the seam", 0.95)
     likely = found_effects(weighed.posterior, after, random, [effect.id for effect in effects])
-    costs = RecordingCost(frames, observed, model, after).of_each(likely, weighed.smallest_values)
+    costs = RecordingCost(frames, model, baseline.held_out, after).of_each(likely, weighed.smallest_values)
     tell("done", 1.0)
     return Diagnosis(
         verdict=verdict,

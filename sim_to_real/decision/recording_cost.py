@@ -57,11 +57,11 @@ class RecordingCost:
     """Costs of effects along a recording, with camera, levels and seam of a fit to some of its frames."""
 
     def __init__(
-        self, frames: Sequence[Frame], observed: ObservedRecording, model: LinearizedModel, after: Refit
+        self, frames: Sequence[Frame], model: LinearizedModel, held_out: ObservedRecording, after: Refit
     ) -> None:
         self._known = apply_nuisances(model.observed.setup, after.nuisance)
         self._headers = {frame.index: frame for frame in frames}
-        self._observed, self._model, self._after = observed, model, after
+        self._model, self._held_out, self._after = model, held_out, after
         curve = model.renderings.seam_curve(after.effects)
         self._stations_mm = curve.stations_mm
         self._y_z_mm, _ = curve.evaluate(after.nuisance[N_LEVELS:])
@@ -124,9 +124,9 @@ class RecordingCost:
 
     def _seam_in_images(self) -> SeamObservations:
         """Return where all frames with the laser on see the fit's seam; none if the tracker never saw it."""
-        observed = self._observed
-        is_seen = len(observed.seam_observations.image_px) > 0
-        lit = [frame for frame in observed.frames if is_seen and frame.condition.laser_level > 0.0]
+        every = (*self._model.observed.frames, *self._held_out.frames)
+        is_seen = len(self._model.observed.seam_observations.image_px) > 0
+        lit = [frame for frame in every if is_seen and frame.condition.laser_level > 0.0]
         moving = {
             name: values for name, values in self._after.effects.items() if name in TRIANGULATION_EFFECTS
         }
