@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +29,7 @@ from sim_to_real.diagnosis import (
     ReportedTrend,
     excluded_effects,
 )
+from sim_to_real.evidence.confidence import cause_probability, closed_in_bins
 from sim_to_real.evidence.error_model import LinearHypothesis
 from sim_to_real.evidence.free_functions import FreeFunctions, all_families, locate
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
@@ -113,14 +113,12 @@ def _diagnose(
     verdict = _with_random_effects(
         judgement.verdict, random, random_effects(model, before, ()) if without else random, without
     )
-    verdict = weaken_by_held_out(verdict, gap, policy)
+    p_cause = cause_probability(judgement.leader, weighed.posterior, policy.cause)
+    verdict = weaken(verdict, gap, p_cause if judgement.leader.ids else 1.0, policy)
     tell("locating the gap", 0.9)
     effects: tuple[NamedEffect, ...] = ()
     if verdict is not DiagnosisVerdict.NO_GAP:
-        effects = _named_effects(judgement, after, weighed, random, random_before)
-    if verdict is DiagnosisVerdict.UNKNOWN:
-        # Held-out frames say that what the bins are certain of is not all.
-        effects = tuple(replace(e, confidence=min(e.confidence, policy.open_confidence)) for e in effects)
+        effects = _named_effects(judgement, after, weighed, p_cause, random, random_before)
     none, leader = weighed.posterior.none.neutral, judgement.leader.refit
     named = LinearHypothesis.of(leader) if leader.ids else none
     families = all_families(of_bins, weighed.bins)
@@ -136,7 +134,7 @@ def _diagnose(
     return Diagnosis(
         verdict=verdict,
         effects=effects,
-        ranking=ranking(weighed, random),
+        ranking=ranking(weighed, p_cause, random),
         ambiguous_with=judgement.ambiguous,
         gap=gap,
         where=where,
@@ -247,33 +245,38 @@ def _with_random_effects(
     return DiagnosisVerdict.UNKNOWN if set(all_random.effects) & set(without) else verdict
 
 
-def weaken_by_held_out(verdict: DiagnosisVerdict, gap: Gap, policy: Policy) -> DiagnosisVerdict:
-    """Return the verdict, or unknown where held-out frames show that what it says is not all.
+def weaken(verdict: DiagnosisVerdict, gap: Gap, p_cause: float, policy: Policy) -> DiagnosisVerdict:
+    """Return the verdict, or unknown where what it says is not all.
 
-    No gap is not all where a clear gap is there: the evidence has no bounds for nuisances, and may explain
-    bins by values that no fit reaches. Effects are not all where they close less than `policy.explained`.
+    No gap is not all where held-out frames show a clear gap: the evidence has no bounds for nuisances, and
+    may explain bins by values that no fit reaches. Effects are not all where they close less than
+    `policy.explained` there, or where they more probably mimic something unknown.
     """
     if verdict is DiagnosisVerdict.NO_GAP:
         return DiagnosisVerdict.UNKNOWN if gap.is_clear_after else verdict
-    return DiagnosisVerdict.UNKNOWN if gap.closed < policy.explained else verdict
+    is_open = gap.closed < policy.explained or p_cause < 0.5
+    return DiagnosisVerdict.UNKNOWN if is_open else verdict
 
 
 def _named_effects(
     judgement: Judgement,
     after: Refit,
     weighed: WeightedHypotheses,
+    p_cause: float,
     random: RandomEffects,
     random_before: RandomEffects,
 ) -> tuple[NamedEffect, ...]:
     """Return the effects that are named, as fitted, and random effects, the largest share first.
 
-    Of an ambiguous verdict they are those of the likeliest hypothesis.
+    Of an ambiguous verdict they are those of the likeliest hypothesis. `p_cause` is the probability that they
+    mimic nothing unknown.
     """
     posterior = weighed.posterior
     shown = after.ids if judgement.verdict is DiagnosisVerdict.AMBIGUOUS else judgement.named
     effects = {name: values for name, values in after.effects.items() if name in shown}
     sigmas = {**after.sigmas, **random.sigmas}
-    confidence = {**random.confidence, **posterior.of_each}
+    of_each = {name: p_cause * p for name, p in posterior.of_each.items()}
+    confidence = {**random.confidence, **of_each}
     share = _with_random_shares(shares(posterior, judgement.leader), random_before, random)
     named = [
         NamedEffect(
@@ -352,18 +355,16 @@ def _with_random_shares(
     return {name: part / total if total > 0.0 else 1.0 / len(of_all) for name, part in of_all.items()}
 
 
-def ranking(weighed: WeightedHypotheses, random: RandomEffects) -> tuple[RankedEffect, ...]:
-    """Return all single effects, best first, with the share of the gap's size that each closes."""
+def ranking(weighed: WeightedHypotheses, p_cause: float, random: RandomEffects) -> tuple[RankedEffect, ...]:
+    """Return all single effects, best first, with the share of the gap's size that each closes.
+
+    `p_cause` is the probability that what leads mimics nothing unknown.
+    """
     posterior = weighed.posterior
-    singles = posterior.singles
-    # Below the model's floor the best effect counts as closing all.
-    floor = min([1.0, *(single.refit.mean_square for single, _ in singles.values())])
-    size = math.sqrt(max(posterior.none.refit.mean_square - floor, 0.0))
     ranked = []
-    for name, (single, p) in singles.items():
-        remainder = math.sqrt(max(single.refit.mean_square - floor, 0.0))
-        closed = 1.0 - remainder / size if size else math.nan
-        ranked.append((single.evidence - posterior.none.evidence, RankedEffect(name, p, closed)))
+    for name, (single, p) in posterior.singles.items():
+        effect = RankedEffect(name, p_cause * p, closed_in_bins(single, posterior))
+        ranked.append((single.evidence - posterior.none.evidence, effect))
     ranked += [
         (
             random.evidence[name],

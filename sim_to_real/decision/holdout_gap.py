@@ -263,8 +263,11 @@ def _gaps(sums: Float64) -> tuple[float, float, float]:
 
 
 def _closed_share(before: float, after: float, floor: float) -> float:
-    """Return (before - after) / (before - floor); NaN where there is no gap above the floor."""
-    return (before - after) / (before - floor) if before > floor else np.nan
+    """Return (before - after) / (before - floor), 1 at most; NaN where there is no gap above the floor.
+
+    Below its floor the model tells nothing: a gap that ends there is closed.
+    """
+    return min((before - after) / (before - floor), 1.0) if before > floor else np.nan
 
 
 def excess_map(predicted: HeldOutPrediction) -> Float32:

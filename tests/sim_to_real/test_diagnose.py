@@ -12,7 +12,7 @@ from noise_model.arc_source import NO_ARC
 from noise_model.effects.effect import Stage
 from noise_model.surface.brdf import UNSTATED_METAL
 from sim_to_real import diagnose as diagnosing
-from sim_to_real.diagnose import HeldOut, diagnose, reasons, weaken_by_held_out
+from sim_to_real.diagnose import HeldOut, diagnose, reasons, weaken
 from sim_to_real.diagnosis import DiagnosisVerdict, Gap, excluded_effects
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.policy import POLICY
@@ -222,20 +222,21 @@ def test_effects_that_explain_nothing_of_frames_held_out_are_refuted(monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("verdict", "after", "closed", "expected"),
+    ("verdict", "after", "closed", "p_cause", "expected"),
     [
-        (DiagnosisVerdict.NO_GAP, 0.3, 0.0, DiagnosisVerdict.NO_GAP),
-        (DiagnosisVerdict.NO_GAP, 0.5, 0.0, DiagnosisVerdict.UNKNOWN),
-        (DiagnosisVerdict.EFFECTS, 0.5, 0.95, DiagnosisVerdict.EFFECTS),
-        (DiagnosisVerdict.EFFECTS, 0.5, 0.85, DiagnosisVerdict.UNKNOWN),
-        (DiagnosisVerdict.AMBIGUOUS, 0.5, 0.85, DiagnosisVerdict.UNKNOWN),
+        (DiagnosisVerdict.NO_GAP, 0.3, 0.0, 1.0, DiagnosisVerdict.NO_GAP),
+        (DiagnosisVerdict.NO_GAP, 0.5, 0.0, 1.0, DiagnosisVerdict.UNKNOWN),
+        (DiagnosisVerdict.EFFECTS, 0.5, 0.95, 0.8, DiagnosisVerdict.EFFECTS),
+        (DiagnosisVerdict.EFFECTS, 0.5, 0.85, 0.8, DiagnosisVerdict.UNKNOWN),
+        (DiagnosisVerdict.AMBIGUOUS, 0.5, 0.85, 0.8, DiagnosisVerdict.UNKNOWN),
+        (DiagnosisVerdict.EFFECTS, 0.5, 0.95, 0.4, DiagnosisVerdict.UNKNOWN),
         # No gap above the floor was there before.
-        (DiagnosisVerdict.EFFECTS, 0.1, np.nan, DiagnosisVerdict.EFFECTS),
+        (DiagnosisVerdict.EFFECTS, 0.1, np.nan, 0.8, DiagnosisVerdict.EFFECTS),
     ],
 )
-def test_frames_held_out_refute_what_does_not_explain_them(verdict, after, closed, expected):
+def test_what_is_not_all_is_unknown(verdict, after, closed, p_cause, expected):
     gap = Gap(1.0, after, 0.2, closed, (0.0, 0.0), (1.0, 1.0), (0.1, 0.1), 1.0)
-    assert weaken_by_held_out(verdict, gap, POLICY) is expected
+    assert weaken(verdict, gap, p_cause, POLICY) is expected
 
 
 def test_reasons_say_what_was_compared(with_gamma):

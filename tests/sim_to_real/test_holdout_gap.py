@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sim_to_real.decision.holdout_gap import measure_gap
+from sim_to_real.decision.seam_error import UNKNOWN_ERRORS
 from sim_to_real.diagnosis import HeldOutPrediction
 from tests.sim_to_real.small import example_setup
 
 SHAPE = 160, 200
-SEAM_MM = 0.0, 0.0
 
 
 def held(n_frames, off_dn, closed, seed=3):
@@ -36,7 +36,7 @@ def held(n_frames, off_dn, closed, seed=3):
 def test_more_frames_that_are_off_alike_say_nothing_more():
     """A gap's interval is of the places that were seen: the model is off there in each frame."""
     setup = example_setup()
-    once, often = (measure_gap(held(n, 3.0, 0.7), setup, SEAM_MM) for n in (1, 9))
+    once, often = (measure_gap(held(n, 3.0, 0.7), setup, UNKNOWN_ERRORS) for n in (1, 9))
     assert often.ci95 == pytest.approx(once.ci95)
     assert once.ci95[0] < once.closed < once.ci95[1]
     assert once.ci95[1] - once.ci95[0] > 0.02
@@ -44,7 +44,15 @@ def test_more_frames_that_are_off_alike_say_nothing_more():
 
 def test_where_there_may_be_no_gap_the_share_closed_has_no_bounds():
     setup = example_setup()
-    assert np.isnan(measure_gap(held(4, 0.3, 0.7), setup, SEAM_MM).ci95).all()
+    assert np.isnan(measure_gap(held(4, 0.3, 0.7), setup, UNKNOWN_ERRORS).ci95).all()
+
+
+def test_a_gap_that_ends_below_the_floor_is_closed():
+    """All of it and no more, though the noise leaves nothing of what the floor allows."""
+    gap = measure_gap(held(4, 3.0, 1.0), example_setup(), UNKNOWN_ERRORS)
+    assert gap.after < gap.floor
+    assert gap.closed == 1.0
+    assert gap.ci95[1] == 1.0
 
 
 def test_what_explains_nothing_is_told_from_what_explains_little():
@@ -52,6 +60,6 @@ def test_what_explains_nothing_is_told_from_what_explains_little():
     setup, off = example_setup(), held(4, 0.3, 0.2)
     unlike = np.random.default_rng(5).permutation((off.after - off.before)[0].ravel()).reshape(SHAPE)
     unlike = replace(off, after=off.before + unlike)
-    some, nothing = (measure_gap(predicted, setup, SEAM_MM) for predicted in (off, unlike))
+    some, nothing = (measure_gap(predicted, setup, UNKNOWN_ERRORS) for predicted in (off, unlike))
     assert not some.explains_nothing
     assert nothing.explains_nothing
