@@ -51,7 +51,7 @@ class LeadingEffect:
         cause = POLICY.cause
         return (
             1.0,
-            float(np.clip(self.more_nats, *cause.beside_nats)),
+            float(np.clip(self.more_nats, *cause.added_nats)),
             float(np.clip(self.alone_nats, *cause.alone_nats)),
             float(np.clip(self.open_share, 0.0, 1.0)),
         )
@@ -79,13 +79,13 @@ def leading_effect(
     if report["verdict"] == "no_gap" or not alone or hidden - FAMILIES.keys():
         return None
     leader = max(alone, key=lambda reason: reason["value"])
-    beside = [r["value"] for r in compared if r not in alone and r["effects"] == leader["effects"]]
+    added = [r["value"] for r in compared if r not in alone and r["effects"] == leader["effects"]]
     closed = {entry["id"]: entry["gap_closed"] for entry in report["ranking"]}.get(leader["effects"][0])
-    if len(leader["effects"]) != 1 or not beside or closed is None:
+    if len(leader["effects"]) != 1 or not added or closed is None:
         return None
     unknown = max(r["value"] for r in report["reasons"] if r["rule"].startswith("evidence of unknown"))
     right = leader["effects"][0] in hidden - without
-    return max(beside) - leader["value"], unknown - leader["value"], 1.0 - closed, right
+    return max(added) - leader["value"], unknown - leader["value"], 1.0 - closed, right
 
 
 def fitted(features: Float64, is_right: Bool) -> Float64:
@@ -136,7 +136,7 @@ def main() -> None:
     right = np.array([effect.is_right for effect in effects])
     is_fitted = np.random.default_rng(SEED).random(len(effects)) < 0.5
     weights = fitted(features[is_fitted], right[is_fitted])
-    names = ("ln_odds", "per_nat_beside", "per_nat_alone", "per_open_share")
+    names = ("ln_odds", "per_nat_added", "per_nat_alone", "per_open_share")
     print(", ".join(f"{name} = {value:.4f}" for name, value in zip(names, weights, strict=True)))
     judged = [effect for effect, is_in in zip(effects, is_fitted, strict=True) if not is_in]
     stated = np.array([getattr(POLICY.cause, name) for name in names])

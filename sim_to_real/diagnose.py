@@ -12,6 +12,7 @@ from noise_model.setup import Setup
 from sim_to_real.baseline import OnStage, fit_baseline
 from sim_to_real.data.binned import ObservedRecording, PoseAt
 from sim_to_real.decision.holdout_gap import excess_map, measure_gap, predict_holdout
+from sim_to_real.decision.model_test import model_test
 from sim_to_real.decision.next_experiment import next_measurement
 from sim_to_real.decision.recording_cost import RecordingCost, found_effects
 from sim_to_real.decision.seam_error import seam_errors_mm
@@ -144,6 +145,7 @@ def _diagnose(
         left_over=functions.left_over,
         after_with=(*after.ids, *random.effects),
         predicted=predicted,
+        model_test=model_test(gap, weighed.posterior, random_before),
         reasons=reasons(weighed.posterior),
         costs=costs,
     )

@@ -165,6 +165,17 @@ class Gap:
         return self.after > 2.0 * self.floor
 
 
+@dataclass(frozen=True)
+class ModelTest:
+    """The global test of the model: the share of quiet recordings that differ from it as much or more.
+
+    `p_values` are those of the tests that it is made of: held_out_gap, bins, scatter.
+    """
+
+    p_value: float
+    p_values: Mapping[str, float]
+
+
 @dataclass(frozen=True, eq=False)
 class Curve:
     """The function of a covariate that explains most of the residual, at knots (k,): mean and 95 % band.
@@ -256,7 +267,7 @@ class Diagnosis:
     free function of a covariate and the share of the gap that it closes beyond the named effects.
     `after_with` are the effects in the predictions after, whether the verdict names them or not. `reasons`
     are the hypotheses that were compared, the most probable first. `costs` say what each effect does to the
-    seam, the largest first, those that were not found last.
+    seam, the largest first, those that were not found last. `model_test` is the global test of the model.
     """
 
     verdict: DiagnosisVerdict
@@ -271,6 +282,7 @@ class Diagnosis:
     left_over: tuple[str, float] | None
     after_with: tuple[str, ...]
     predicted: HeldOutPrediction
+    model_test: ModelTest
     reasons: tuple[Reason, ...] = ()
     costs: tuple[EffectCost, ...] = ()
 

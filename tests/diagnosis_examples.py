@@ -18,6 +18,7 @@ from sim_to_real.diagnosis import (
     EffectCost,
     Gap,
     HeldOutPrediction,
+    ModelTest,
     NamedEffect,
     Next,
     ParameterEstimate,
@@ -76,9 +77,15 @@ def example(verdict: DiagnosisVerdict, setup: Setup, effects: Effects = GAMMA) -
         left_over=("half_angle times_arc", 0.62) if verdict is DiagnosisVerdict.UNKNOWN else None,
         after_with=() if verdict is DiagnosisVerdict.NO_GAP else tuple(effects),
         predicted=predicted,
+        model_test=model_test(is_gap),
         reasons=reasons(next(iter(effects)), verdict),
         costs=costs(effects, verdict),
     )
+
+
+def model_test(is_gap: bool) -> ModelTest:
+    p_values = {"held_out_gap": 0.3, "bins": 0.6, "scatter": 0.5}
+    return ModelTest(3e-9, {**p_values, "bins": 1e-9}) if is_gap else ModelTest(0.657, p_values)
 
 
 def costs(effects: Effects, verdict: DiagnosisVerdict) -> tuple[EffectCost, ...]:

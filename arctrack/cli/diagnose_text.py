@@ -21,7 +21,7 @@ def print_one(done: Sequence[DiagnosisResult]) -> None:
         console.warn(diagnosed.warnings)
         diagnosis = diagnosed.diagnosis
         harmless = cost_words.harmless(diagnosis, diagnosed.setup.tolerance.seam_mm)
-        for text in filter(None, (harmless, words.headline(diagnosis))):
+        for text in filter(None, (words.model_test(diagnosis), harmless, words.headline(diagnosis))):
             screen.print(text, style="bold", markup=False, soft_wrap=True)
         withheld = words.withheld(diagnosis, diagnosed.job.without)
         for text in filter(None, (words.how_far(diagnosis), withheld, _seam(diagnosed))):

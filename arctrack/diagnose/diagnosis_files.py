@@ -92,6 +92,7 @@ def report(diagnosis: Diagnosis, without: Sequence[str] = ()) -> dict[str, Any]:
         "reasons": [_reason(reason) for reason in diagnosis.reasons],
         "withheld": tuple(without),
         "cost": [cost_content(cost) for cost in diagnosis.costs],
+        "model_test": asdict(diagnosis.model_test),
     }
     rounded: dict[str, Any] = plain(content, DIGITS)
     return rounded

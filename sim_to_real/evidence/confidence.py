@@ -14,12 +14,12 @@ def cause_probability(leader: Hypothesis, posterior: Posterior, policy: CausePol
     It is a logistic regression on opened blind checks, in which half of the leading effects' causes were in
     the catalogue and half were withheld (`CausePolicy`).
     """
-    beside, closed = leader.with_unknown, closed_in_bins(leader, posterior)
-    more_nats = -math.inf if beside is None else beside.evidence - leader.evidence
+    added, closed = leader.with_unknown, closed_in_bins(leader, posterior)
+    more_nats = -math.inf if added is None else added.evidence - leader.evidence
     alone_nats = posterior.unknown.evidence - leader.evidence
     ln_odds = (
         policy.ln_odds
-        + policy.per_nat_beside * min(max(more_nats, policy.beside_nats[0]), policy.beside_nats[1])
+        + policy.per_nat_added * min(max(more_nats, policy.added_nats[0]), policy.added_nats[1])
         + policy.per_nat_alone * min(max(alone_nats, policy.alone_nats[0]), policy.alone_nats[1])
         + policy.per_open_share * (min(max(1.0 - closed, 0.0), 1.0) if math.isfinite(closed) else 0.0)
     )

@@ -8,17 +8,17 @@ class CausePolicy:
     """Logistic regression for the probability that a leading effect is there and mimics nothing unknown.
 
     Its log odds are `ln_odds`, and more for each nat by which the same effects with an unknown cause beside
-    them are likelier (`per_nat_beside`), for each nat by which an unknown cause alone is (`per_nat_alone`),
+    them are likelier (`per_nat_added`), for each nat by which an unknown cause alone is (`per_nat_alone`),
     and for the share of the gap in the bins that stays open (`per_open_share`). Nats count within
-    `beside_nats` and `alone_nats`. The weights are fitted to one half of the diagnoses of opened checks, as
+    `added_nats` and `alone_nats`. The weights are fitted to one half of the diagnoses of opened checks, as
     many with the cause in the catalogue as without, and judged on the other: `benchmarks/confidence.py`.
     """
 
     ln_odds: float = 1.80
-    per_nat_beside: float = -0.094
+    per_nat_added: float = -0.094
     per_nat_alone: float = -0.0074
     per_open_share: float = -2.71
-    beside_nats: tuple[float, float] = (-10.0, 30.0)
+    added_nats: tuple[float, float] = (-10.0, 30.0)
     alone_nats: tuple[float, float] = (-200.0, 50.0)
 
 

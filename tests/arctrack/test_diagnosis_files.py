@@ -15,7 +15,7 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import DiagnosisVerdict
 
 KEYS = ["format", "verdict", "effects", "ranking", "ambiguous_with", "gap", "where", "next", "not_resolvable"]
-MORE_KEYS = ["smallest_detectable", "left_over", "after_with", "reasons", "withheld", "cost"]
+MORE_KEYS = ["smallest_detectable", "left_over", "after_with", "reasons", "withheld", "cost", "model_test"]
 
 
 @pytest.mark.parametrize("verdict", DiagnosisVerdict)

@@ -71,6 +71,9 @@ FORMS = {
 CERTAIN_SHARE = 0.995
 """Least probability that is stated as above 99 %."""
 
+MIN_P, DOUBTFUL_P = 1e-4, 0.05
+"""P-values of the model: smaller ones are not stated exactly, and those from which on it is not in doubt."""
+
 MIN_R2 = 0.05
 """A covariate or pattern that explains a smaller share of the residual is not worth mentioning."""
 
@@ -104,6 +107,17 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.effects:
         return _with_unknown(diagnosis)
     return f"There is a gap of {sigmas(gap.before)} that no effect of the catalogue explains."
+
+
+def model_test(diagnosis: Diagnosis) -> str:
+    """Return the global test of the model in one sentence, the first of a report."""
+    p = diagnosis.model_test.p_value
+    if not math.isfinite(p):
+        return "The model could not be tested as a whole: nothing was compared."
+    if p < MIN_P:
+        return f"The model does not hold: p < {MIN_P:g}, a recording without a gap hardly differs as much."
+    differ = f"{100.0 * p:.2g} % of recordings without a gap differ from it as much"
+    return f"The model {'may not hold' if p < DOUBTFUL_P else 'holds'}: p = {p:.2g}, {differ}."
 
 
 def _with_unknown(diagnosis: Diagnosis) -> str:
