@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +12,13 @@ from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
 from sim_to_real.baseline import OnStage, fit_baseline
 from sim_to_real.data.binned import ObservedRecording, PoseAt
+from sim_to_real.decision.describe_unknown import describe_unknown
 from sim_to_real.decision.holdout_gap import excess_map, measure_gap, predict_holdout
 from sim_to_real.decision.model_test import model_test
 from sim_to_real.decision.next_experiment import next_measurement
 from sim_to_real.decision.recording_cost import RecordingCost, found_effects
 from sim_to_real.decision.seam_error import seam_errors_mm
+from sim_to_real.decision.unknown_experiment import unknown_experiment
 from sim_to_real.diagnosis import (
     NO_GAP,
     Diagnosis,
@@ -28,15 +31,16 @@ from sim_to_real.diagnosis import (
     RankedEffect,
     Reason,
     ReportedTrend,
+    UnknownDescription,
     excluded_effects,
 )
-from sim_to_real.evidence.confidence import cause_probability, closed_in_bins
+from sim_to_real.evidence.confidence import cause_probability, closed_in_bins, gap_in_bins
 from sim_to_real.evidence.error_model import LinearHypothesis
 from sim_to_real.evidence.free_functions import FreeFunctions, all_families, locate
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.policy import POLICY, Policy
 from sim_to_real.evidence.weigh import Judgement, WeightedHypotheses, judge, weigh
-from sim_to_real.fit.covariates import covariates
+from sim_to_real.fit.covariates import Covariates, covariates
 from sim_to_real.fit.gauss_newton import Refit, refit, refit_at
 from sim_to_real.fit.linearized_model import LinearizedModel
 from sim_to_real.fit.trend import trend_among
@@ -131,6 +135,7 @@ def _diagnose(
     tell("costing the seam", 0.95)
     likely = found_effects(weighed.posterior, after, random, [effect.id for effect in effects])
     costs = RecordingCost(frames, model, baseline.held_out, after).of_each(likely, weighed.smallest_values)
+    unknown, measurement = _unknown_and_next(model, weighed, verdict, leader, of_bins, functions)
     tell("done", 1.0)
     return Diagnosis(
         verdict=verdict,
@@ -139,7 +144,7 @@ def _diagnose(
         ambiguous_with=judgement.ambiguous,
         gap=gap,
         where=where,
-        next=_next(model, weighed, verdict),
+        next=measurement,
         not_resolvable=weighed.not_resolvable,
         smallest=weighed.smallest,
         left_over=functions.left_over,
@@ -148,6 +153,7 @@ def _diagnose(
         model_test=model_test(gap, weighed.posterior, random_before),
         reasons=reasons(weighed.posterior),
         costs=costs,
+        unknown=unknown,
     )
 
 
@@ -305,7 +311,36 @@ def _next(model: LinearizedModel, weighed: WeightedHypotheses, verdict: Diagnosi
     if verdict is DiagnosisVerdict.NO_GAP:
         return None
     is_unknown = verdict is DiagnosisVerdict.UNKNOWN
-    return next_measurement(model, weighed.posterior, weighed.errors, weighed.policy, is_unknown)
+    measure = partial(next_measurement, model, weighed.posterior, weighed.errors, weighed.policy)
+    # Of a set whose further members are hardly probable the nearest are to be told apart.
+    return measure(is_unknown) or measure(verdict is DiagnosisVerdict.AMBIGUOUS)
+
+
+def _unknown_and_next(
+    model: LinearizedModel,
+    weighed: WeightedHypotheses,
+    verdict: DiagnosisVerdict,
+    leader: Refit,
+    of_bins: Covariates,
+    functions: FreeFunctions,
+) -> tuple[UnknownDescription | None, Next | None]:
+    """Return the description of an unknown cause, None without one, and the next measurement."""
+    asked = _next(model, weighed, verdict)
+    if verdict is not DiagnosisVerdict.UNKNOWN:
+        return None, asked
+    errors, policy = weighed.errors, weighed.policy
+    fitted = leader if leader.ids else weighed.posterior.none.refit
+    compared = of_bins.subset(weighed.bins)
+    unknown = describe_unknown(model, compared, fitted, functions, errors, policy)
+    if asked is None or not asked.resolves or not _is_open(weighed):
+        asked = unknown_experiment(model, compared, fitted, errors, unknown.terms, policy)
+    return unknown, asked
+
+
+def _is_open(weighed: WeightedHypotheses) -> bool:
+    """Return True if two effects or more may be the whole cause."""
+    probabilities = weighed.posterior.of_effects.values()
+    return sum(p >= weighed.policy.possible for p in probabilities) > 1
 
 
 def shares(posterior: Posterior, leader: Hypothesis) -> dict[str, float]:
@@ -365,7 +400,8 @@ def ranking(weighed: WeightedHypotheses, p_cause: float, random: RandomEffects) 
     posterior = weighed.posterior
     ranked = []
     for name, (single, p) in posterior.singles.items():
-        effect = RankedEffect(name, p_cause * p, closed_in_bins(single, posterior))
+        rest = gap_in_bins(single, posterior)
+        effect = RankedEffect(name, p_cause * p, closed_in_bins(single, posterior), left_sigma=rest)
         ranked.append((single.evidence - posterior.none.evidence, effect))
     ranked += [
         (

@@ -62,13 +62,14 @@ class RankedEffect:
     """An effect fitted alone, with its probability and the share of the gap that it closes.
 
     `confidence` is the probability that this effect alone acts; of an effect that `is_random`, that it acts,
-    whatever else does.
+    whatever else does. `left_sigma` is what it leaves of the gap, in sigmas of a bin; NaN where unknown.
     """
 
     id: str
     confidence: float
     gap_closed: float
     is_random: bool = False
+    left_sigma: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -218,11 +219,63 @@ class Where:
 
 @dataclass(frozen=True)
 class Next:
-    """Experiment that would separate effects, or a witness if no experiment `resolves` it."""
+    """Experiment that would separate effects, or a witness if no experiment `resolves` it.
+
+    Where the cause is unknown it `separates` what the cause may be, in words, and has a `reason`. `certainty`
+    is exp(-entropy) of the posterior that is expected after it; NaN where that was not computed.
+    """
 
     experiment: str
     separates: tuple[str, ...]
     resolves: bool
+    reason: str = ""
+    certainty: float = math.nan
+
+
+@dataclass(frozen=True)
+class UnknownTerm:
+    """A free term that an unknown cause may be: any smooth function of a coordinate at a stage.
+
+    `coordinate` is its kind (image, part, time, angle, ...), `source` whose light it changes, `words` both.
+    `nats` is its log evidence over nothing unknown, `size` its likeliest prior sigma, `probability` that
+    among all terms, `share` the part of what is left unexplained that it explains.
+    """
+
+    stage: str
+    name: str
+    coordinate: str
+    source: str
+    words: str
+    nats: float
+    size: float
+    probability: float
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class UnknownDescription:
+    """An unknown cause, alone or beside what is named: what it may be, where and when it acts.
+
+    `terms` are the likeliest first. `curve` is the function of one covariate that explains most of what is
+    left. `rows_px`, `columns_px`, `along_mm` and `aside_mm` (from the seam, to its left) hold the middle half
+    of the excess, NaN where it is not known; `spread` is the share of the view that this box takes. `frames`
+    are the fewest frames that hold half of it, of `n_frames`. `excess` is what is left, in sigmas of a bin.
+    The fitted seam lies `seam_off_mm` off its stated line (to the left, up), and `sheet_mm` is the
+    displacement of the laser's sheet that would move the stripe as that height does.
+    """
+
+    terms: tuple[UnknownTerm, ...]
+    curve: Curve | None
+    rows_px: tuple[float, float]
+    columns_px: tuple[float, float]
+    along_mm: tuple[float, float]
+    aside_mm: tuple[float, float]
+    spread: float
+    frames: tuple[int, ...]
+    n_frames: int
+    excess: float
+    seam_off_mm: tuple[float, float]
+    sheet_mm: float
 
 
 @dataclass(frozen=True)
@@ -268,6 +321,7 @@ class Diagnosis:
     `after_with` are the effects in the predictions after, whether the verdict names them or not. `reasons`
     are the hypotheses that were compared, the most probable first. `costs` say what each effect does to the
     seam, the largest first, those that were not found last. `model_test` is the global test of the model.
+    `unknown` describes the unknown cause of a verdict that has one.
     """
 
     verdict: DiagnosisVerdict
@@ -285,6 +339,7 @@ class Diagnosis:
     model_test: ModelTest
     reasons: tuple[Reason, ...] = ()
     costs: tuple[EffectCost, ...] = ()
+    unknown: UnknownDescription | None = None
 
 
 def excluded_effects(setup: Setup, without: Sequence[str]) -> tuple[str, ...]:

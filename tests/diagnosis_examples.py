@@ -25,6 +25,8 @@ from sim_to_real.diagnosis import (
     RankedEffect,
     Reason,
     SeamShift,
+    UnknownDescription,
+    UnknownTerm,
     Where,
 )
 
@@ -80,6 +82,7 @@ def example(verdict: DiagnosisVerdict, setup: Setup, effects: Effects = GAMMA) -
         model_test=model_test(is_gap),
         reasons=reasons(next(iter(effects)), verdict),
         costs=costs(effects, verdict),
+        unknown=unknown_cause() if verdict is DiagnosisVerdict.UNKNOWN else None,
     )
 
 
@@ -98,6 +101,42 @@ def costs(effects: Effects, verdict: DiagnosisVerdict) -> tuple[EffectCost, ...]
         *(EffectCost(name, *shifts, 4, 1, effects[name], is_named=True) for name in found),
         EffectCost("read_noise", unknown, unknown, 0, 0, {"noise_ratio": 1.2}, is_rendered=False),
         EffectCost("arc_length", SeamShift(math.nan, 0.0, 0.0002, math.nan), bound, 1, 0, {}, is_bound=True),
+    )
+
+
+def unknown_cause() -> UnknownDescription:
+    """Return an unknown cause that goes with the distance from the arc, in two of nine frames."""
+    terms = (
+        UnknownTerm(
+            "medium",
+            "arc over the distance",
+            "distance",
+            "arc",
+            "arc light by distance",
+            90.0,
+            0.1,
+            0.97,
+            0.8,
+        ),
+        UnknownTerm(
+            "optics", "light over the image", "image", "laser and arc", "light by place", 60.0, 0.1, 0.02, 0.4
+        ),
+    )
+    centers = np.linspace(20.0, 60.0, 9)
+    mean = 0.1 * np.cos((centers - 20.0) / 40.0 * math.pi)
+    return UnknownDescription(
+        terms=terms,
+        curve=Curve("distance", "mm", 0.62, "times_arc", 80.0, centers, mean, mean - 0.02, mean + 0.02),
+        rows_px=(20.0, 60.0),
+        columns_px=(40.0, 80.0),
+        along_mm=(12.0, 18.0),
+        aside_mm=(-4.0, 3.0),
+        spread=0.08,
+        frames=(2, 7),
+        n_frames=9,
+        excess=2.4,
+        seam_off_mm=(0.31, -1.2),
+        sheet_mm=-0.44,
     )
 
 
@@ -127,8 +166,11 @@ def estimates(name: str, values: Mapping[str, float]) -> dict[str, ParameterEsti
 def ranking(effects: Effects, verdict: DiagnosisVerdict) -> tuple[RankedEffect, ...]:
     closed = {DiagnosisVerdict.NO_GAP: 0.0, DiagnosisVerdict.UNKNOWN: 0.22}.get(verdict, 0.96)
     others = ("black_level", "exposure_drift", "hot_metal_glow", "fume", "vignetting", "arc_length")
-    best = [RankedEffect(name, 0.9 / len(effects), closed) for name in effects]
-    worse = [RankedEffect(name, 0.4**n / 9.0, closed * 0.8**n) for n, name in enumerate(others, 1)]
+    best = [RankedEffect(name, 0.9 / len(effects), closed, left_sigma=3.0 - 3.0 * closed) for name in effects]
+    worse = [
+        RankedEffect(name, 0.4**n / 9.0, closed * 0.8**n, left_sigma=3.0 - 3.0 * closed * 0.8**n)
+        for n, name in enumerate(others, 1)
+    ]
     # Random effects are there or not, whatever else is.
     random = [
         RankedEffect(name, p, 0.0, is_random=True) for name, p in (("read_noise", 0.95), ("spatter", 0.02))

@@ -10,7 +10,7 @@ from arctrack.cli import console
 from arctrack.diagnose.applied_files import AppliedEffects
 from arctrack.diagnose.diagnose import DiagnosisResult
 from arctrack.diagnose.diagnosis_files import ADDED_PAGE, REPORT_PAGE
-from arctrack.diagnose.pages import applied_page, cost_words, words
+from arctrack.diagnose.pages import applied_page, cost_words, unknown_words, words
 from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, RankedEffect
 
 
@@ -104,6 +104,7 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "left over", words.left_over(*diagnosis.left_over)
     if bound := cost_words.largest_bound(diagnosis.costs):
         yield "at most", bound
+    yield from unknown_words.described(diagnosis)
     if diagnosis.not_resolvable:
         # Pairs that cannot be told apart here; the page has them all.
         pairs = [" | ".join(pair) for pair in diagnosis.not_resolvable[:4]]
@@ -111,7 +112,11 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         yield "not told apart", "; ".join(pairs) + (f"; and {more} more pairs" if more else "")
     if diagnosis.next is not None:
         separates = words.listed(diagnosis.next.separates, "from")
-        yield "record next", diagnosis.next.experiment + (f" (tells {separates})" if separates else "")
+        reason = f": {diagnosis.next.reason}" if diagnosis.next.reason else ""
+        yield (
+            "record next",
+            diagnosis.next.experiment + (f" (tells {separates}{reason})" if separates else ""),
+        )
 
 
 def _cost_table(rows: Sequence[cost_words.CostRow]) -> Table:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from arctrack.diagnose.pages import unknown_words
 from arctrack.output import write_whole, writing
 from sim_to_real.diagnosis import (
     Diagnosis,
@@ -93,6 +94,7 @@ def report(diagnosis: Diagnosis, without: Sequence[str] = ()) -> dict[str, Any]:
         "withheld": tuple(without),
         "cost": [cost_content(cost) for cost in diagnosis.costs],
         "model_test": asdict(diagnosis.model_test),
+        "unknown": _unknown(diagnosis),
     }
     rounded: dict[str, Any] = plain(content, DIGITS)
     return rounded
@@ -177,7 +179,58 @@ def _where(where: Where) -> dict[str, Any]:
 def _next(measurement: Next | None) -> dict[str, Any] | None:
     if measurement is None:
         return None
-    return {"experiment": measurement.experiment, "separates": measurement.separates}
+    return {
+        "experiment": measurement.experiment,
+        "separates": measurement.separates,
+        "reason": measurement.reason,
+        "certainty": measurement.certainty,
+    }
+
+
+def _unknown(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """Return what is known of an unknown cause, None of a verdict without one."""
+    unknown = diagnosis.unknown
+    if unknown is None:
+        return None
+    curve = unknown.curve
+    nearest = unknown_words.nearest(diagnosis)
+    return {
+        "sentences": dict(unknown_words.described(diagnosis)),
+        # report.json names the likeliest terms.
+        "terms": [
+            {name: value for name, value in asdict(term).items() if name not in ("size", "words")}
+            for term in unknown.terms[:5]
+        ],
+        "excess": unknown.excess,
+        "depends_on": None
+        if curve is None
+        else {
+            "name": curve.name,
+            "unit": curve.unit,
+            "form": curve.form,
+            "r2": curve.r2,
+            "nats": curve.nats,
+            "at": curve.centers.tolist(),
+            "mean": curve.mean.tolist(),
+            "low": curve.low.tolist(),
+            "high": curve.high.tolist(),
+        },
+        "place": {
+            "rows_px": unknown.rows_px,
+            "columns_px": unknown.columns_px,
+            "along_mm": unknown.along_mm,
+            "aside_mm": unknown.aside_mm,
+        },
+        "frames": unknown.frames,
+        "nearest": [
+            {"id": effect.id, "left": 1.0 - effect.gap_closed, "left_sigma": effect.left_sigma}
+            for effect in nearest
+        ],
+        "seam_mm": {
+            "off_stated": unknown.seam_off_mm,
+            "as_sheet": unknown.sheet_mm,
+        },
+    }
 
 
 def _left_over(left_over: tuple[str, float] | None) -> dict[str, Any] | None:

@@ -11,8 +11,8 @@ from noise_model.compiled.arrays import Point
 N_MORE = 4
 """Frames of an experiment."""
 
-TILT_DEG, RAISE_MM, CURRENT, EXPOSURE, FASTER = 10.0, 2.0, 1.5, 0.5, 3.0
-"""Changes of the experiments: angle, height, and factors of current, exposure and speed."""
+TILT_DEG, RAISE_MM, SHIFT_MM, CURRENT, EXPOSURE, FASTER = 10.0, 2.0, 10.0, 1.5, 0.5, 3.0
+"""Changes of the experiments: angle, height, way, and factors of current, exposure and speed."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,21 @@ MENU = (
     Experiment("faster", f"the same run {FASTER:g} times as fast", speed=FASTER),
 )
 """The experiments that may be asked for."""
+
+MORE_OF_UNKNOWN = (
+    Experiment(
+        "shifted",
+        f"the torch shifted by {SHIFT_MM:g} mm along the seam, the part at rest",
+        move_mm=(SHIFT_MM, 0.0, 0.0),
+    ),
+    Experiment(
+        "turned",
+        f"the torch turned by {TILT_DEG:g} deg about its axis, the part at rest",
+        turn_deg=(0.0, 0.0, TILT_DEG),
+    ),
+    Experiment("again", "the same run again, an hour later"),
+)
+"""Further experiments where the cause is unknown: they tell the camera from the part, and both from time."""
 
 _FLAT_FIELD = "a flat field: opal glass, lit evenly at the laser's wavelength"
 _BOARD = "a calibration board, seen from several poses"

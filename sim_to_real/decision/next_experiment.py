@@ -121,49 +121,54 @@ def expected_certainty(nats: Float64, weights: Float64, temperature: float) -> F
     return np.asarray(np.exp(-weights @ entropy))
 
 
-def _nats_apart(model: LinearizedModel, hypotheses: Sequence[Hypothesis], errors: ErrorModel) -> Float64:
-    """Return the evidence (h, g, n), nats, that experiment n gives for hypothesis h, if right, over g."""
-    planned = _planned_model(model)
-    forecasts = [_forecast(planned, hypothesis, errors) for hypothesis in hypotheses]
-    apart = np.zeros((len(forecasts), len(forecasts), len(MENU)))
-    for (h, right), (g, rival) in itertools.permutations(enumerate(forecasts), 2):
-        apart[h, g] = [_surprise(planned, right, rival, n) for n in range(len(MENU))]
-    return apart
-
-
 @dataclass(frozen=True, eq=False)
-class _Forecast:
-    """Prediction of each planned frame by a hypothesis, DN: means (n,), and their uncertainty (n, p)."""
+class Forecast:
+    """Prediction of each planned frame, DN: means (n,), and their uncertainty (n, p)."""
 
     means_dn: tuple[Float64, ...]
     spreads_dn: tuple[Float64, ...]
 
 
-def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorModel) -> _Forecast:
+def _nats_apart(model: LinearizedModel, hypotheses: Sequence[Hypothesis], errors: ErrorModel) -> Float64:
+    """Return the evidence (h, g, n), nats, that experiment n gives for hypothesis h, if right, over g."""
+    planned = planned_model(model, MENU)
+    return nats_apart(planned, [_forecast(planned, hypothesis, errors) for hypothesis in hypotheses])
+
+
+def nats_apart(planned: LinearizedModel, forecasts: Sequence[Forecast]) -> Float64:
+    """Return the evidence (h, g, n), nats, that planned frame n gives for forecast h, if right, over g."""
+    n_planned = len(planned.observed.frames)
+    apart = np.zeros((len(forecasts), len(forecasts), n_planned))
+    for (h, right), (g, rival) in itertools.permutations(enumerate(forecasts), 2):
+        apart[h, g] = [_surprise(planned, right, rival, n) for n in range(n_planned)]
+    return apart
+
+
+def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorModel) -> Forecast:
     fitted = hypothesis.refit
     ahead = refit_at(planned, fitted, steps=0)
     seen = LinearHypothesis.of(fitted).columns.changes
     information = errors.metric.products(seen, seen) + np.eye(seen.shape[1])
     # A frame's own level is new in each frame: nothing has been seen of it.
-    shared, own = ~_is_frame_level(fitted), _is_frame_level(ahead)
+    shared, own = ~is_frame_level(fitted), is_frame_level(ahead)
     root = solve_triangular(np.linalg.cholesky(information), np.eye(len(information)), lower=True).T[shared]
     spread_by = np.zeros((len(own), root.shape[1] + int(own.sum())))
     spread_by[~own, : root.shape[1]] = root
     spread_by[own, root.shape[1] :] = np.eye(int(own.sum()))
     ends = np.cumsum([0, *planned.observed.counts])
     spread = (ahead.jacobian * ahead.quadratic.prior_sigmas) @ spread_by
-    return _Forecast(
+    return Forecast(
         tuple(light.mean_dn() for light in ahead.lights),
         tuple(spread[start:end] for start, end in itertools.pairwise(ends)),
     )
 
 
-def _is_frame_level(fitted: Refit) -> Bool:
+def is_frame_level(fitted: Refit) -> Bool:
     """Return the mask (p,) of a fit's parameters that belong to single frames."""
     return np.array([parameter.name.startswith(FRAME_LEVEL) for parameter in fitted.quadratic.parameters])
 
 
-def _surprise(planned: LinearizedModel, right: _Forecast, rival: _Forecast, n: int) -> float:
+def _surprise(planned: LinearizedModel, right: Forecast, rival: Forecast, n: int) -> float:
     """Return the log likelihood ratio, nats, of the right hypothesis over a rival on the n-th experiment.
 
     It is half of d^T (S + J J^T)^-1 d, with S the noise of `N_MORE` frames and the model's floor.
@@ -181,14 +186,14 @@ def _surprise(planned: LinearizedModel, right: _Forecast, rival: _Forecast, n: i
     return float(0.5 * (weight @ difference**2 - along @ np.linalg.solve(information, along)))
 
 
-def _planned_model(model: LinearizedModel) -> LinearizedModel:
-    """Return the model for the menu's frames, a frame for each experiment."""
+def planned_model(model: LinearizedModel, menu: Sequence[Experiment]) -> LinearizedModel:
+    """Return the model for a menu's frames, a frame for each experiment."""
     observed, template = model.observed, _template(model)
     frames = tuple(
         _with_bins_of_pose(
             replace(planned_frame(experiment, template, observed.setup), position=position), observed
         )
-        for position, experiment in enumerate(MENU)
+        for position, experiment in enumerate(menu)
     )
     return LinearizedModel(replace(observed, frames=frames))
 
@@ -208,6 +213,7 @@ def _with_bins_of_pose(frame: ObservedFrame, observed: ObservedRecording) -> Obs
         stated_arc_e=layers.arc_e,
         # There is no image yet: what it would show is counted in DN.
         sigma_dn=np.ones(int(keep.sum())),
+        shown_dn2=np.zeros(int(keep.sum())),
     )
 
 

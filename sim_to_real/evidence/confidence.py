@@ -26,13 +26,16 @@ def cause_probability(leader: Hypothesis, posterior: Posterior, policy: CausePol
     return float(expit(ln_odds))
 
 
-def closed_in_bins(hypothesis: Hypothesis, posterior: Posterior) -> float:
-    """Return the share that a hypothesis closes of the bins' gap, sqrt(mean r^2 - 1); NaN without a gap.
+def gap_in_bins(hypothesis: Hypothesis, posterior: Posterior) -> float:
+    """Return what a hypothesis leaves of the bins' gap, sqrt(mean r^2 - 1), in sigmas of a bin.
 
     Below the model's floor the effect that leaves least closes all.
     """
     floor = min([1.0, *(single.refit.mean_square for single, _ in posterior.singles.values())])
-    gap, rest = (
-        math.sqrt(max(fitted.mean_square - floor, 0.0)) for fitted in (posterior.none.refit, hypothesis.refit)
-    )
-    return 1.0 - rest / gap if gap else math.nan
+    return math.sqrt(max(hypothesis.refit.mean_square - floor, 0.0))
+
+
+def closed_in_bins(hypothesis: Hypothesis, posterior: Posterior) -> float:
+    """Return the share that a hypothesis closes of the bins' gap; NaN without a gap."""
+    gap = gap_in_bins(posterior.none, posterior)
+    return 1.0 - gap_in_bins(hypothesis, posterior) / gap if gap else math.nan

@@ -15,7 +15,8 @@ from noise_model.setup import Setup
 from sim_to_real.diagnosis import DiagnosisVerdict
 
 KEYS = ["format", "verdict", "effects", "ranking", "ambiguous_with", "gap", "where", "next", "not_resolvable"]
-MORE_KEYS = ["smallest_detectable", "left_over", "after_with", "reasons", "withheld", "cost", "model_test"]
+MORE_KEYS = ["smallest_detectable", "left_over", "after_with", "reasons", "withheld", "cost"]
+MORE_KEYS += ["model_test", "unknown"]
 
 
 @pytest.mark.parametrize("verdict", DiagnosisVerdict)
@@ -82,7 +83,7 @@ def test_what_the_verdict_names(seen_setup: Setup) -> None:
             "bend": {"value": 0.0, "sigma": 0.001, "unit": ""},
         },
     }
-    assert list(content["next"]) == ["experiment", "separates"]
+    assert list(content["next"]) == ["experiment", "separates", "reason", "certainty"]
     assert content["left_over"] is None
     ambiguous = report(example(DiagnosisVerdict.AMBIGUOUS, seen_setup))
     assert ambiguous["ambiguous_with"] == [["gamma", "black_level"]]
@@ -124,3 +125,32 @@ def test_anyone_can_recompute_the_gap(seen_setup: Setup, tmp_path: Path) -> None
         assert where["z"].shape == shape[1:]
         assert np.nanmin(where["z"]) >= 0.0
         assert set(np.unique(where["sign"][np.isfinite(where["sign"])])) <= {-1.0, 0.0, 1.0}
+
+
+def test_an_unknown_cause_is_described(seen_setup: Setup) -> None:
+    unknown = report(example(DiagnosisVerdict.UNKNOWN, seen_setup))["unknown"]
+    assert unknown["terms"][0] == {
+        "stage": "medium",
+        "name": "arc over the distance",
+        "coordinate": "distance",
+        "source": "arc",
+        "nats": 90.0,
+        "probability": 0.97,
+        "share": 0.8,
+    }
+    assert (unknown["depends_on"]["name"], unknown["depends_on"]["form"]) == ("distance", "times_arc")
+    curve = [unknown["depends_on"][key] for key in ("at", "low", "mean", "high")]
+    assert all(low < mean < high for _, low, mean, high in zip(*curve, strict=True))
+    assert unknown["place"]["rows_px"] == [20.0, 60.0]
+    assert unknown["frames"] == [2, 7]
+    assert unknown["nearest"][0] == {"id": "gamma", "left": 0.78, "left_sigma": 2.34}
+    assert unknown["seam_mm"] == {"off_stated": [0.31, -1.2], "as_sheet": -0.44}
+    assert list(unknown["sentences"]) == [
+        "it is like",
+        "it lies",
+        "it comes",
+        "it goes with",
+        "near to it",
+        "the seam",
+    ]
+    assert report(example(DiagnosisVerdict.EFFECTS, seen_setup))["unknown"] is None

@@ -15,7 +15,7 @@ from diagnosis_examples import GAMMA, GLARE, example
 from made import small_setup
 
 from arctrack.diagnose.diagnosis_files import report, write_numbers
-from arctrack.diagnose.pages import cost_words, words
+from arctrack.diagnose.pages import cost_words, unknown_words, words
 from arctrack.diagnose.pages.page import ADVICE, RECOMPUTE, advice, nice_limit, page, telling_frame
 from arctrack.recording import Recording, read_recording
 from noise_model.effects import REGISTRY
@@ -343,7 +343,7 @@ def test_a_diagnosis_without_held_out_frames_has_a_page(seen_setup: Setup, recor
     none = diagnosis.predicted.before[:0]
     empty = replace(diagnosis.predicted, frames=np.empty(0, np.int64), before=none, after=none)
     where = replace(diagnosis.where, covariates=(), z=np.full_like(diagnosis.where.z, np.nan))
-    reader = read(page(replace(diagnosis, predicted=empty, where=where), recording))
+    reader = read(page(replace(diagnosis, predicted=empty, where=where, unknown=None), recording))
     assert reader.references == []
 
 
@@ -440,3 +440,50 @@ def test_no_gap_above_the_floor_is_not_said_to_be_below_it(seen_setup: Setup) ->
     assert words.how_far(below) == (
         "The images differ from the model by 0.20 σ, within the model's own error of 0.22 σ."
     )
+
+
+def test_an_unknown_cause_is_told_in_sentences_with_numbers(seen_setup: Setup) -> None:
+    told = dict(unknown_words.described(example(DiagnosisVerdict.UNKNOWN, seen_setup)))
+    for heading, part in (
+        ("it is like", "arc light by distance (stage medium)"),
+        ("it is like", "explains 80 % of what is left. Next come light by place (40 %)."),
+        (
+            "it lies",
+            "mostly between rows 20 and 60 px, and columns 40 and 80 px; on the part 12 to 18 mm along",
+        ),
+        ("it comes", "half of it in frames 2 and 7, of 9 that were fitted."),
+        ("it goes with", "distance from the arc, which explains 62 % of it: the arc's light, about its mean"),
+        ("it goes with", "from −10 ± 2.0 % at 60.0 mm to 10 ± 2.0 % at 20.0 mm"),
+        ("near to it", "gamma alone leaves 78 %, 2.3 σ of 3.0 σ in bins; black_level alone leaves 82 %"),
+        ("the seam", "0.31 mm to the left of its stated line and 1.2 mm below it; a laser sheet 0.44 mm off"),
+    ):
+        assert part in told[heading]
+    assert unknown_words.described(example(DiagnosisVerdict.EFFECTS, seen_setup)) == []
+
+
+def test_what_is_even_is_said_to_be(seen_setup: Setup) -> None:
+    diagnosis = example(DiagnosisVerdict.UNKNOWN, seen_setup)
+    even = replace(
+        diagnosis.unknown, spread=0.24, frames=(1, 2, 3, 4), curve=None, seam_off_mm=(math.nan, math.nan)
+    )
+    told = dict(unknown_words.described(replace(diagnosis, unknown=even)))
+    assert told["it lies"].startswith("all over the image")
+    assert told["it comes"] == "in all frames that were fitted alike."
+    assert told["it goes with"] == "no single quantity."
+    assert "the seam" not in told
+
+
+@pytest.mark.slow
+def test_the_page_of_an_unknown_cause_can_be_read_at_every_width(
+    seen_setup: Setup, recording: Recording, browser: Page, tmp_path: Path
+) -> None:
+    diagnosis = example(DiagnosisVerdict.UNKNOWN, seen_setup)
+    asked = Next("the same run again", ("one thing", "another"), True, "what comes again is fixed", 0.97)
+    html = page(replace(diagnosis, next=asked), recording)
+    assert (
+        "Record next: the same run again. It tells one thing from another: what comes again is fixed." in html
+    )
+    assert "What the unknown is like" in html
+    (tmp_path / "page.html").write_text(html)
+    browser.open(tmp_path / "page.html")
+    browser.assert_readable()

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from arctrack.diagnose.diagnosis_files import PREDICTED_NPZ, REPORT_JSON, WHERE_NPZ
-from arctrack.diagnose.pages import cost_words, words
+from arctrack.diagnose.pages import cost_words, unknown_words, words
 from arctrack.diagnose.pages.words import percent, quantity
 from arctrack.output import write_whole
 from arctrack.printable import quoted
@@ -266,6 +266,9 @@ def advice(diagnosis: Diagnosis) -> list[str]:
 
 def _to_record(measurement: Next, verdict: DiagnosisVerdict) -> str:
     separates = words.listed(measurement.separates, "from")
+    if measurement.reason:
+        how_far = "tells" if measurement.resolves else "does most, though not all, to tell"
+        return f"Record next: {measurement.experiment}. It {how_far} {separates}: {measurement.reason}."
     if measurement.resolves:
         return f"Record next: {measurement.experiment}. It tells {separates}."
     if verdict is DiagnosisVerdict.UNKNOWN:
@@ -310,6 +313,8 @@ def _content(diagnosis: Diagnosis, recording: Recording, without: Sequence[str])
         "found_costs": cost_words.found_rows(diagnosis.costs),
         "bound_costs": cost_words.bound_rows(diagnosis.costs),
         "advice": advice(diagnosis),
+        "described": unknown_words.described(diagnosis),
+        "unknown_curve": _unknown_curve(diagnosis),
         "shown": shown,
         "is_after": shown is not None and shown.before != shown.after,
         "with_what": words.added(diagnosis),
@@ -336,6 +341,12 @@ def drawn_curves(diagnosis: Diagnosis) -> list[Curve]:
     curves = [curve for curve in diagnosis.where.covariates if len(curve.centers)]
     # Covariates that are drawn at most; report.json has all of them.
     return [curve for curve in curves[:4] if curve.r2 >= words.MIN_R2]
+
+
+def _unknown_curve(diagnosis: Diagnosis) -> str | None:
+    """Return a picture of what an unknown cause depends on most, None where it is worth none."""
+    curve = None if diagnosis.unknown is None else diagnosis.unknown.curve
+    return None if curve is None or curve.r2 < words.MIN_R2 else curve_picture(curve)
 
 
 def _rankings(diagnosis: Diagnosis) -> list[Ranking]:
