@@ -111,12 +111,11 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         more = len(diagnosis.not_resolvable) - len(pairs)
         yield "not told apart", "; ".join(pairs) + (f"; and {more} more pairs" if more else "")
     if diagnosis.next is not None:
-        separates = words.listed(diagnosis.next.separates, "from")
-        reason = f": {diagnosis.next.reason}" if diagnosis.next.reason else ""
-        yield (
-            "record next",
-            diagnosis.next.experiment + (f" (tells {separates}{reason})" if separates else ""),
-        )
+        asked = diagnosis.next
+        tells = f"tells {words.listed(asked.separates, 'from')}" if asked.separates else ""
+        if asked.reason:
+            tells = f"tells apart {words.listed(asked.separates, 'and')}: {asked.reason}"
+        yield "record next", asked.experiment + (f" ({tells})" if tells else "")
 
 
 def _cost_table(rows: Sequence[cost_words.CostRow]) -> Table:

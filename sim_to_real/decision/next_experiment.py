@@ -122,7 +122,7 @@ def expected_certainty(nats: Float64, weights: Float64, temperature: float) -> F
 
 
 @dataclass(frozen=True, eq=False)
-class Forecast:
+class PlannedForecast:
     """Prediction of each planned frame, DN: means (n,), and their uncertainty (n, p)."""
 
     means_dn: tuple[Float64, ...]
@@ -135,7 +135,7 @@ def _nats_apart(model: LinearizedModel, hypotheses: Sequence[Hypothesis], errors
     return nats_apart(planned, [_forecast(planned, hypothesis, errors) for hypothesis in hypotheses])
 
 
-def nats_apart(planned: LinearizedModel, forecasts: Sequence[Forecast]) -> Float64:
+def nats_apart(planned: LinearizedModel, forecasts: Sequence[PlannedForecast]) -> Float64:
     """Return the evidence (h, g, n), nats, that planned frame n gives for forecast h, if right, over g."""
     n_planned = len(planned.observed.frames)
     apart = np.zeros((len(forecasts), len(forecasts), n_planned))
@@ -144,7 +144,7 @@ def nats_apart(planned: LinearizedModel, forecasts: Sequence[Forecast]) -> Float
     return apart
 
 
-def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorModel) -> Forecast:
+def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorModel) -> PlannedForecast:
     fitted = hypothesis.refit
     ahead = refit_at(planned, fitted, steps=0)
     seen = LinearHypothesis.of(fitted).columns.changes
@@ -157,7 +157,7 @@ def _forecast(planned: LinearizedModel, hypothesis: Hypothesis, errors: ErrorMod
     spread_by[own, root.shape[1] :] = np.eye(int(own.sum()))
     ends = np.cumsum([0, *planned.observed.counts])
     spread = (ahead.jacobian * ahead.quadratic.prior_sigmas) @ spread_by
-    return Forecast(
+    return PlannedForecast(
         tuple(light.mean_dn() for light in ahead.lights),
         tuple(spread[start:end] for start, end in itertools.pairwise(ends)),
     )
@@ -168,7 +168,7 @@ def is_frame_level(fitted: Refit) -> Bool:
     return np.array([parameter.name.startswith(FRAME_LEVEL) for parameter in fitted.quadratic.parameters])
 
 
-def _surprise(planned: LinearizedModel, right: Forecast, rival: Forecast, n: int) -> float:
+def _surprise(planned: LinearizedModel, right: PlannedForecast, rival: PlannedForecast, n: int) -> float:
     """Return the log likelihood ratio, nats, of the right hypothesis over a rival on the n-th experiment.
 
     It is half of d^T (S + J J^T)^-1 d, with S the noise of `N_MORE` frames and the model's floor.

@@ -17,7 +17,7 @@ from noise_model.effects.effect import Stage
 from sim_to_real.data.binned import ObservedRecording
 from sim_to_real.decision.experiments import MENU, MORE_OF_UNKNOWN, Experiment
 from sim_to_real.decision.next_experiment import (
-    Forecast,
+    PlannedForecast,
     expected_certainty,
     is_frame_level,
     is_recorded,
@@ -124,7 +124,7 @@ def _forecasts(
     fitted: Refit,
     errors: ErrorModel,
     rivals: Sequence[UnknownTerm],
-) -> list[Forecast]:
+) -> list[PlannedForecast]:
     """Return what each term predicts of each planned frame, with the uncertainty of all that was fitted."""
     planned = planned.anchored_at(fitted.nuisance, fitted.effects, fitted.trend)
     ahead = refit(planned, fitted.effects, fitted.nuisance, 0, fitted.trend)
@@ -151,7 +151,9 @@ def _forecasts(
         ahead_columns = np.hstack([changes, columns[n:]])
         mean, spread = mean_dn - ahead_columns @ moved, ahead_columns @ root[kept]
         parts = list(itertools.pairwise(ends))
-        forecasts.append(Forecast(tuple(mean[a:b] for a, b in parts), tuple(spread[a:b] for a, b in parts)))
+        forecasts.append(
+            PlannedForecast(tuple(mean[a:b] for a, b in parts), tuple(spread[a:b] for a, b in parts))
+        )
     return forecasts
 
 

@@ -445,7 +445,7 @@ def test_no_gap_above_the_floor_is_not_said_to_be_below_it(seen_setup: Setup) ->
 def test_an_unknown_cause_is_told_in_sentences_with_numbers(seen_setup: Setup) -> None:
     told = dict(unknown_words.described(example(DiagnosisVerdict.UNKNOWN, seen_setup)))
     for heading, part in (
-        ("it is like", "arc light by distance (stage medium)"),
+        ("it is like", "arc light by distance (stage medium), the likeliest single term by 97 %: it"),
         ("it is like", "explains 80 % of what is left. Next come light by place (40 %)."),
         (
             "it lies",
@@ -471,6 +471,8 @@ def test_what_is_even_is_said_to_be(seen_setup: Setup) -> None:
     assert told["it comes"] == "in all frames that were fitted alike."
     assert told["it goes with"] == "no single quantity."
     assert "the seam" not in told
+    few = replace(diagnosis, unknown=replace(even, n_frames=1))
+    assert dict(unknown_words.described(few))["it comes"] == "too few frames to say when: 1 fitted."
 
 
 @pytest.mark.slow
@@ -481,7 +483,8 @@ def test_the_page_of_an_unknown_cause_can_be_read_at_every_width(
     asked = Next("the same run again", ("one thing", "another"), True, "what comes again is fixed", 0.97)
     html = page(replace(diagnosis, next=asked), recording)
     assert (
-        "Record next: the same run again. It tells one thing from another: what comes again is fixed." in html
+        "Record next: the same run again. It tells apart one thing and another: what comes again is fixed."
+        in html
     )
     assert "What the unknown is like" in html
     (tmp_path / "page.html").write_text(html)

@@ -267,8 +267,9 @@ def advice(diagnosis: Diagnosis) -> list[str]:
 def _to_record(measurement: Next, verdict: DiagnosisVerdict) -> str:
     separates = words.listed(measurement.separates, "from")
     if measurement.reason:
-        how_far = "tells" if measurement.resolves else "does most, though not all, to tell"
-        return f"Record next: {measurement.experiment}. It {how_far} {separates}: {measurement.reason}."
+        how_far = "tells apart" if measurement.resolves else "does most, though not all, to tell apart"
+        terms = words.listed(measurement.separates, "and")
+        return f"Record next: {measurement.experiment}. It {how_far} {terms}: {measurement.reason}."
     if measurement.resolves:
         return f"Record next: {measurement.experiment}. It tells {separates}."
     if verdict is DiagnosisVerdict.UNKNOWN:

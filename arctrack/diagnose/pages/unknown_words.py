@@ -8,6 +8,9 @@ from sim_to_real.diagnosis import Curve, Diagnosis, Gap, RankedEffect, UnknownDe
 EVEN_SPREAD, EVEN_FRAMES = 0.2, 0.35
 """Shares of the view and of the frames from which on an excess counts as even: evenly it is 1/4, 1/2."""
 
+MIN_FRAMES = 4
+"""Fewest frames that say when something comes."""
+
 FORMS = {"adds": "added light", "times_arc": "the arc's light", "times_laser": "the laser's light"}
 
 
@@ -36,8 +39,8 @@ def nearest(diagnosis: Diagnosis) -> list[RankedEffect]:
 def _likeliest(unknown: UnknownDescription) -> str:
     first, *others = unknown.terms
     text = (
-        f"{first.words} (stage {first.stage}): of single terms it is likeliest by "
-        f"{words.probability(first.probability)}, and explains {words.percent(first.share)} of what is left."
+        f"{first.words} (stage {first.stage}), the likeliest single term by "
+        f"{words.probability(first.probability)}: it explains {words.percent(first.share)} of what is left."
     )
     others = [term for term in others if term.words != first.words and term.share >= words.MIN_R2][:2]
     if others:
@@ -64,7 +67,9 @@ def _place(unknown: UnknownDescription, diagnosis: Diagnosis) -> str:
 
 
 def _frames(unknown: UnknownDescription) -> str:
-    if unknown.n_frames < 4 or len(unknown.frames) > EVEN_FRAMES * unknown.n_frames:
+    if unknown.n_frames < MIN_FRAMES:
+        return f"too few frames to say when: {unknown.n_frames} fitted."
+    if len(unknown.frames) > EVEN_FRAMES * unknown.n_frames:
         return "in all frames that were fitted alike."
     frames = words.listed([str(n) for n in unknown.frames], "and")
     return f"half of it in frames {frames}, of {unknown.n_frames} that were fitted."
