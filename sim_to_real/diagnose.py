@@ -332,12 +332,12 @@ def _unknown_and_next(
     fitted = leader if leader.ids else weighed.posterior.none.refit
     compared = of_bins.subset(weighed.bins)
     unknown = describe_unknown(model, compared, fitted, functions, errors, policy)
-    if asked is None or not asked.resolves or not _is_open(weighed):
+    if asked is None or not asked.resolves or not is_catalogued(weighed):
         asked = unknown_experiment(model, compared, fitted, errors, unknown.terms, policy)
     return unknown, asked
 
 
-def _is_open(weighed: WeightedHypotheses) -> bool:
+def is_catalogued(weighed: WeightedHypotheses) -> bool:
     """Return True if two effects or more may be the whole cause."""
     probabilities = weighed.posterior.of_effects.values()
     return sum(p >= weighed.policy.possible for p in probabilities) > 1

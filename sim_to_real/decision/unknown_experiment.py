@@ -40,6 +40,19 @@ N_BINS = 600
 AGAIN = "again"
 """The key of the experiment that takes the same frames later."""
 
+CHANGES: Mapping[str, tuple[str, ...]] = {
+    "image": ("shifted", "turned", "raised"),
+    "part": ("shifted", "turned", "raised"),
+    "pose": ("shifted", "turned", "raised"),
+    "time": (AGAIN, "faster"),
+    "angle": ("sideways", "along"),
+    "grey level": ("exposure",),
+    "hall": ("dark", "exposure"),
+    "distance": ("raised", "current"),
+    "sheet": ("raised", "sideways"),
+}
+"""Experiments that change what a term of each kind of coordinate depends on, the best first, by key."""
+
 TELLS: Mapping[str, str] = {
     "dark": "with laser and arc off, only the scene's own light and the sensor's offset stay",
     "laser": "with the arc off, only what belongs to the laser, the hall and the sensor stays",
@@ -68,8 +81,9 @@ def unknown_experiment(
     """Return the experiment with the largest expected certainty about the likeliest terms.
 
     `of_bins` are the covariates of the bins that were compared, `fitted` the fit that the terms are added to.
-    The terms count as equally probable: none of them need be the whole cause. Where no experiment tells them
-    apart the best one is proposed all the same.
+    The terms count as equally probable: none of them need be the whole cause. Of experiments that tell them
+    apart, one that changes what the likeliest term depends on is preferred. Where none tells them apart the
+    best one is proposed all the same.
     """
     menu = _menu(model.observed)
     rivals = rival_terms(terms)
@@ -83,9 +97,11 @@ def unknown_experiment(
         certainty = expected_certainty(apart, weights, policy.temperature)
         nearest = np.min(apart[~np.eye(len(rivals), dtype=np.bool_)], axis=0)
     known = [experiment.key != AGAIN and is_recorded(experiment, model.observed) for experiment in menu]
-    # Of experiments that all tell the terms apart, the one that tells the two nearest by most.
-    order = np.lexsort([nearest, np.where(known, 0.0, np.round(certainty, 2))])
-    best = int(order[-1])
+    # Terms that fit differently already are told apart by most: what the likeliest depends on is changed.
+    wanted = CHANGES[rivals[0].coordinate][::-1]
+    change = np.array([wanted.index(e.key) + 1.0 if e.key in wanted else 0.0 for e in menu])
+    rank = np.where(known, -1.0, np.where(certainty >= policy.named, 1.0 + change, certainty))
+    best = int(np.lexsort([nearest, rank])[-1])
     return Next(
         experiment=menu[best].name,
         separates=tuple(term.words for term in rivals),

@@ -8,7 +8,7 @@ import pytest
 from sim_to_real import diagnose as diagnosing
 from sim_to_real.decision.describe_unknown import unexplained_curve
 from sim_to_real.decision.experiments import MENU, MORE_OF_UNKNOWN
-from sim_to_real.decision.unknown_experiment import TELLS
+from sim_to_real.decision.unknown_experiment import CHANGES, TELLS
 from sim_to_real.decision.unknown_terms import TRAITS, likely_terms, rival_terms
 from sim_to_real.diagnose import diagnose
 from sim_to_real.diagnosis import DiagnosisVerdict
@@ -39,7 +39,10 @@ def test_every_term_says_what_it_depends_on(bins):
     terms = {term.name for term in free_terms(bins).terms if term.stage is not None and len(term.blocks) == 1}
     assert len(terms) > 20
     assert terms <= set(TRAITS)
-    assert {experiment.key for experiment in (*MENU, *MORE_OF_UNKNOWN)} == set(TELLS)
+    keys = {experiment.key for experiment in (*MENU, *MORE_OF_UNKNOWN)}
+    assert keys == set(TELLS)
+    assert {traits.coordinate for traits in TRAITS.values()} == set(CHANGES)
+    assert {key for changed in CHANGES.values() for key in changed} < keys
 
 
 @pytest.mark.parametrize("is_beside", [False, True])
@@ -83,7 +86,9 @@ def test_terms_of_different_kinds_are_told_apart(bins):
 
 
 @pytest.mark.slow
-def test_a_withheld_cause_is_described_and_an_experiment_asked_for(tmp_path):
+def test_a_withheld_cause_is_described_and_an_experiment_asked_for(tmp_path, monkeypatch):
+    """No effect counts as the whole cause, so the unknown's own terms choose the experiment."""
+    monkeypatch.setattr(diagnosing, "is_catalogued", lambda weighed: False)
     recording = recorded(tmp_path / "r", {"gamma": {"gamma": 1.35}}, EXACT)
     diagnosis = diagnose(*recording, without=("gamma",))
     assert diagnosis.verdict is DiagnosisVerdict.UNKNOWN
