@@ -12,6 +12,7 @@ from noise_model.compiled.arrays import Float64, Int64
 from noise_model.effects import REGISTRY, not_predicted
 from noise_model.fit import within_bounds
 from sim_to_real.diagnosis import DiagnosisVerdict, ParameterEstimate
+from sim_to_real.evidence.confidence import closed_in_bins
 from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, compared_bins
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.hypothesis_search import HypothesisSearch
@@ -24,6 +25,9 @@ from sim_to_real.search.score_test import FAMILIES, ScoreTest, score_effects
 
 MIN_NATS = 3.0
 """The evidence over no gap from which on an effect shows."""
+
+MIN_CLOSES = 0.1
+"""Least share of the bins' gap that an effect closes that others may be indistinguishable from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +183,8 @@ def judge(posterior: Posterior, policy: Policy) -> Judgement:
 
     What leads decides between no gap, an unknown cause and effects. Effects are named whose probability,
     given that effects are the cause, is `policy.named`; where none is, the hypotheses that are
-    `policy.possible` are a set. Beside an unknown cause the likeliest effects are named, none where it
-    probably acts alone.
+    `policy.possible` are a set, and so are an effect and those indistinguishable from it. Beside an unknown
+    cause the likeliest effects are named, none where it probably acts alone.
     """
     of_effects = sum(posterior.p)
     if posterior.p_none >= max(of_effects, posterior.p_unknown):
@@ -193,8 +197,26 @@ def judge(posterior: Posterior, policy: Policy) -> Judgement:
     sure = [name for name, p in posterior.of_effects.items() if p >= policy.named * of_effects]
     if sure or len(weighed) < 2:
         leader = next((h for h in likely if set(h.ids) == set(sure)), posterior.hypotheses[0])
+        if others := indistinguishable_effects(leader, posterior, policy):
+            return Judgement(DiagnosisVerdict.AMBIGUOUS, leader, (), ((*leader.ids, *others),))
         return Judgement(DiagnosisVerdict.EFFECTS, leader, tuple(sure or leader.ids), ())
     # Where the next ones are many and none of them likely, the first of these stands for them.
     undecided = likely if len(likely) > 1 else posterior.hypotheses[:2]
     members = tuple(dict.fromkeys(name for hypothesis in undecided for name in hypothesis.ids))
     return Judgement(DiagnosisVerdict.AMBIGUOUS, posterior.hypotheses[0], (), (members,))
+
+
+def indistinguishable_effects(leader: Hypothesis, posterior: Posterior, policy: Policy) -> tuple[str, ...]:
+    """Return the effects that by themselves close as much of the bins' gap as a single effect that leads.
+
+    They leave the same pictures, whatever priors and sizes of the fits make of it. One that closes next to
+    nothing has none.
+    """
+    closes = closed_in_bins(leader, posterior)
+    if len(leader.ids) != 1 or not closes > MIN_CLOSES:
+        return ()
+    return tuple(
+        name
+        for name, (single, _) in posterior.singles.items()
+        if name not in leader.ids and closed_in_bins(single, posterior) >= closes - policy.indistinguishable
+    )

@@ -15,13 +15,16 @@ POLICY = Policy(temperature=1.0, ln_odds_effect=0.0, ln_odds_further=-2.0, ln_od
 TERM = Stage.SURFACE, "arc over the half angle"
 
 
-def hypothesis(nats, *ids, off=None, with_unknown=None):
+def hypothesis(nats, *ids, off=None, with_unknown=None, left=1.0):
+    """Evidence of effects that leave a mean square in the bins, of 5 without them."""
     unknown = None if with_unknown is None else UnknownCause({TERM: with_unknown})
-    return Hypothesis(SimpleNamespace(ids=ids), nats, nats if off is None else off, None, {}, unknown)
+    fitted = SimpleNamespace(ids=ids, mean_square=left)
+    return Hypothesis(fitted, nats, nats if off is None else off, None, {}, unknown)
 
 
 def posterior(*hypotheses, none=0.0, unknown=-20.0, n_effects=10):
-    return Posterior.of(hypothesis(none), hypotheses, UnknownCause({TERM: unknown}), n_effects, POLICY)
+    no_gap = hypothesis(none, left=5.0)
+    return Posterior.of(no_gap, hypotheses, UnknownCause({TERM: unknown}), n_effects, POLICY)
 
 
 def test_probabilities_add_up_to_one_likeliest_first():
@@ -79,7 +82,28 @@ def test_a_stage_is_as_probable_as_all_its_terms_together():
     [
         ((), -20.0, DiagnosisVerdict.NO_GAP, (), ()),
         ((hypothesis(1.0, "gamma"),), -20.0, DiagnosisVerdict.NO_GAP, (), ()),
-        ((hypothesis(20.0, "gamma"), hypothesis(3.0, "fume")), 4.0, DiagnosisVerdict.EFFECTS, ("gamma",), ()),
+        (
+            (hypothesis(20.0, "gamma"), hypothesis(3.0, "fume", left=1.5)),
+            4.0,
+            DiagnosisVerdict.EFFECTS,
+            ("gamma",),
+            (),
+        ),
+        # Both leave the same pictures; or hardly anything but what was there before.
+        (
+            (hypothesis(20.0, "gamma"), hypothesis(3.0, "fume")),
+            4.0,
+            DiagnosisVerdict.AMBIGUOUS,
+            (),
+            (("gamma", "fume"),),
+        ),
+        (
+            (hypothesis(20.0, "gamma", left=4.8), hypothesis(3.0, "fume", left=4.8)),
+            4.0,
+            DiagnosisVerdict.EFFECTS,
+            ("gamma",),
+            (),
+        ),
         ((hypothesis(20.0, "gamma"),), 30.0, DiagnosisVerdict.UNKNOWN, (), ()),
         # An unknown cause beside a mimic explains more than the mimic alone, or does not.
         ((hypothesis(20.0, "gamma", with_unknown=26.0),), 4.0, DiagnosisVerdict.UNKNOWN, ("gamma",), ()),
