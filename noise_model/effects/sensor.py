@@ -52,8 +52,9 @@ def _blooming(light: Light, view: View, condition: Condition, values: Values, dr
     full = excess[:, columns].astype(np.float64)
     down = lfilter([0.0, gain * fall], [1.0, -fall], full, axis=0)
     up = lfilter([0.0, gain * fall], [1.0, -fall], full[::-1], axis=0)[::-1]
+    evenly = values["column_share"] * full.mean(axis=0)
     spilled = light.other.copy()
-    spilled[:, columns] += (down + up).astype(np.float32)
+    spilled[:, columns] += (down + up + evenly).astype(np.float32)
     light.other = spilled
 
 
@@ -107,12 +108,15 @@ EFFECTS = (
         stage=Stage.SENSOR,
         summary="saturated pixels spill along columns",
         equation="of each pixel's charge beyond full well the share spill goes up and down its column, "
-        "falling as exp(-distance / reach_px); what passes the image's rim is lost",
+        "falling as exp(-distance / reach_px); what passes the image's rim is lost; the whole "
+        "column glows by column_share of its mean charge beyond full well",
         source="Theuwissen 1995, Solid-State Imaging with Charge-Coupled Devices: a full well overflows into "
-        "its column's neighbours, where the barriers are lowest; the exponential is a form of our own",
+        "its column's neighbours, where the barriers are lowest, and columns that are read through a full "
+        "well glow from rim to rim; the exponential is a form of our own",
         parameters=(
             Parameter("spill", "", 0.0, 0.4, 0.0, 1.0, 0.005),
             Parameter("reach_px", "px", 20.0, 15.0, 0.5, 400.0, 0.5),
+            Parameter("column_share", "", 0.0, 0.4, 0.0, 1.0, 0.005),
         ),
         typical={"spill": 0.8, "reach_px": 30.0},
         image=_blooming,

@@ -153,7 +153,10 @@ FAMILIES: Mapping[str, tuple[ProbeFamily, ...]] = {
         ProbeFamily(({"share": 0.05},), {"spread": spread}) for spread in (0.1, 0.3, 0.8, 3.0)
     ),
     "exposure_drift": _drifts(),
-    "blooming": tuple(ProbeFamily(({"spill": 0.3},), {"reach_px": reach}) for reach in (5.0, 30.0, 150.0)),
+    "blooming": (
+        *(ProbeFamily(({"spill": 0.3},), {"reach_px": reach}) for reach in (5.0, 30.0, 150.0)),
+        ProbeFamily(({"column_share": 0.5},)),
+    ),
     "gamma": (ProbeFamily(({"gamma": 1.1}, {"bend": 0.1})), *_each({"gamma": 0.85}, {"gamma": 1.2})),
     "black_level": _each({"offset_dn": 2.0}),
     "hand_eye": (

@@ -49,7 +49,7 @@ AMPLITUDES = {
     "groove_glare": ("peak_e",),
     "hot_metal_glow": ("peak_e",),
     "fume": ("extinction_per_m",),
-    "blooming": ("spill",),
+    "blooming": ("spill", "column_share"),
     "rolling_marks": ("anisotropy",),
     "argon_line_leak": ("line_width_nm",),
     "laser_power_drift": DRIFTS,

@@ -118,6 +118,14 @@ def test_blooming_keeps_the_columns_charge():
     assert not got[:, 60:].any()
 
 
+def test_a_column_glows_from_rim_to_rim_by_all_of_its_excess():
+    setup = affected(nominal("flat", psf_sigma_px=0.0), blooming={"column_share": 0.5})
+    image = overfull()
+    got = passed(setup, light_of(image)).other
+    excess = np.maximum(image - 20_400.0, 0.0).mean(axis=0)
+    np.testing.assert_allclose(got, np.broadcast_to(0.5 * excess, got.shape), rtol=1e-5, atol=1e-3)
+
+
 def test_the_pattern_is_the_same_in_every_frame_and_as_strong_as_said():
     setup = affected(nominal(**DEEP), fixed_pattern={"sigma_rel": 0.05})
     rng = np.random.default_rng(3)
