@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import kstest
 
 from tests.sim_to_real.planted import planted
 from tests.sim_to_real.small import recorded
@@ -17,6 +18,7 @@ sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 from misspecification import (
     Judged,
     Nominal,
+    distortions_say,
     nominal_of,
     of_cells,
     of_spans,
@@ -95,7 +97,7 @@ def test_a_recording_as_stated_is_one_of_those_drawn_and_one_with_another_respon
     excess = {}
     for name, effects in (("as stated", {}), ("gamma", {"gamma": {"gamma": 1.3}})):
         recorded(tmp_path / name, effects, coarser=4)
-        model, summaries = nominal_of(tmp_path / name)
+        model, summaries, _ = nominal_of(tmp_path / name)
         drawn = model.remainder(model.draw(300, np.random.default_rng(5)))
         of_recorded = model.remainder(model.recorded[np.newaxis])
         for summary, of in summaries.items():
@@ -105,11 +107,27 @@ def test_a_recording_as_stated_is_one_of_those_drawn_and_one_with_another_respon
     assert excess["as stated", "free terms"] < 3.0
 
 
+def test_distortions_have_uniform_p_values_and_find_what_is_planted():
+    """A distortion that nuisances take on, and that one column states twice, tells nothing."""
+    rng = np.random.default_rng(8)
+    distortions = np.hstack([rng.normal(size=(N, 20)), np.zeros((N, 1))]).astype(np.float32)
+    drawn = rng.normal(size=(2000, N)).astype(np.float32)
+    p = [distortions_say(e[np.newaxis], drawn[200:], distortions) for e in drawn[:200]]
+    for name in ("largest", "sum"):
+        assert kstest([said[name]["p"] for said in p], "uniform").pvalue > 0.05
+    planted = drawn[:1] + 6.0 * distortions[:, 3] / np.linalg.norm(distortions[:, 3])
+    found = distortions_say(planted.astype(np.float32), drawn[200:], distortions)
+    assert found["largest"]["p"] < 0.01
+    assert found["largest"]["excess"] > 3.0
+
+
 def judged(tier, effects, p, excess, verdict="effects", named=()):
     said = {"p": p, "excess": excess}
     both = {test: said for test in ("log-prob", "MMD")}
     case = Case("0001", tier, effects, Answer(verdict, named), (("gamma", 0.9), ("fume", 0.1)))
-    return Judged(case, {"said": {"free terms": both, "cells": both}}, is_diagnosed=True)
+    by_distortions = {"largest": said, "sum": said}
+    content = {"free terms": both, "cells": both, "distortions": by_distortions}
+    return Judged(case, {"said": content}, is_diagnosed=True)
 
 
 def rows_of(text):
@@ -136,6 +154,7 @@ def test_the_table_counts_gaps_by_p_and_beyond_every_quiet_recording():
         "0 of 2, 0 % (0 to 66)",
         "1 of 2, 50 % (9 to 91)",
     ]
+    assert rows["largest of distortions, p < 0.01"] == rows["sbi, MMD of cells, p < 0.01"]
     assert rows["cosine of the raw residual"] == ["always", "", "1 of 2, 50 % (9 to 91)"]
     assert rows["arctrack"] == [
         "1 of 2, 50 % (9 to 91)",
