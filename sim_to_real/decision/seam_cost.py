@@ -28,6 +28,7 @@ from noise_model.surface.joint import SeamLine, seam_frame, seam_height_mm, sect
 from noise_model.transforms import invert, transform
 from sim_to_real.diagnosis import EffectCost, SeamShift
 from sim_to_real.fit.renderings import RENDERED_EFFECTS
+from tracker.geometry import SEARCH_REACH_MM
 from tracker.seam.locate import ridge_mm, seam_displacement
 from tracker.seam_observations import TRIANGULATION_EFFECTS, SeamObservations
 from tracker.state import Frame, Pose
@@ -201,13 +202,16 @@ def triangulation_shifts_mm(
     """Return by how much a tracker with a setup shifts the seam (n, 2), y and z, mm.
 
     Camera, lens or clock are really off as the effect says. `seen` are the points in which the seam was seen.
+    Where the shift is beyond the tracker's search it is NaN: the tracker would find no seam there.
     """
     if not len(seen.image_px):
         return np.empty((0, 2))
     there = replace(known, effects={**known.effects, name: values})
     (assumed_mm, found_mm), (true_mm, real_mm) = seen.in_joint(known), seen.in_joint(there)
     # Along a bent seam another station has another true place.
-    return np.asarray(found_mm - real_mm - (course(assumed_mm) - course(true_mm)))
+    shifts_mm = found_mm - real_mm - (course(assumed_mm) - course(true_mm))
+    is_in_reach = np.all(np.abs(shifts_mm) <= SEARCH_REACH_MM, axis=1, keepdims=True)
+    return np.where(is_in_reach, shifts_mm, np.nan)
 
 
 @dataclass(frozen=True, eq=False)

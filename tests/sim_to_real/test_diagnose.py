@@ -17,6 +17,7 @@ from sim_to_real.diagnosis import DiagnosisVerdict, Gap, excluded_effects
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
 from sim_to_real.evidence.policy import POLICY
 from tests.sim_to_real.small import EXACT, example_setup, recorded
+from tracker.seam_observations import TRIANGULATION_EFFECTS
 
 pytestmark = pytest.mark.slow
 
@@ -48,7 +49,8 @@ def test_it_says_what_the_effects_cost_the_seam(with_gamma):
     assert (first.id, first.is_named, first.is_bound) == ("gamma", True, False)
     assert 0.0 < first.vertical_mm.low <= first.vertical_mm.value <= first.vertical_mm.high < 0.1
     bounds = {cost.id: cost for cost in others if cost.is_bound}
-    assert {"hand_eye", "pose_delay", "fume"} <= bounds.keys() <= result.smallest.keys()
+    assert bounds.keys() == TRIANGULATION_EFFECTS & result.smallest.keys()
+    assert {"hand_eye", "surface_tilt", "pose_delay"} <= bounds.keys()
     # The tool weaves and rises by some mm/s, and a late clock costs its way.
     speed_mm_s = bounds["pose_delay"].max_mm / abs(bounds["pose_delay"].values["delay_s"])
     assert 3.0 < speed_mm_s < 12.0

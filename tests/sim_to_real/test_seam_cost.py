@@ -29,6 +29,7 @@ from sim_to_real.decision.seam_cost import (
     unknown_cost,
 )
 from sim_to_real.diagnosis import CostFlag
+from tracker.geometry import SEARCH_REACH_MM
 from tracker.seam_observations import SeamObservations
 from tracker.state import Frame
 
@@ -115,6 +116,17 @@ def test_a_camera_moved_to_the_side_costs_its_way_to_the_side():
     for shifts in (triangulated_mm("hand_eye", move_x_mm=0.2), triangulated_mm("hand_eye", move_x_mm=-0.2)):
         assert np.abs(shifts[:, 0]) == pytest.approx(0.2, abs=1e-3)
         assert shifts[:, 1] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_camera_so_far_off_that_no_search_reaches_the_seam_costs_no_mm():
+    """At 4.9 mm the tracker is that far off; at 5.1 it finds no seam, and the bound says so."""
+    near, far = ({"move_x_mm": mm} for mm in (SEARCH_REACH_MM - 0.1, SEARCH_REACH_MM + 0.1))
+    assert np.abs(triangulated_mm("hand_eye", **near)[:, 0]) == pytest.approx(near["move_x_mm"], abs=1e-2)
+    without_mm = np.zeros((len(TIMES_S), 2))
+    lost = bound_of("hand_eye", lambda values: triangulated_mm("hand_eye", **values), [far], without_mm)
+    assert lost.flag is CostFlag.SEAM_LOST
+    assert (lost.n_frames, lost.n_lost) == (3, 3)
+    assert math.isnan(lost.lateral_mm.high)
 
 
 @pytest.mark.slow
