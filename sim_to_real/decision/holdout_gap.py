@@ -205,19 +205,10 @@ def measure_gap(
     `seam`, the seam's errors before and after, is passed on.
     """
     counts = np.isfinite(predicted.variance)
-    light_dn = predicted.after.astype(np.float64) - setup.sensor.black_level_dn
-    squares = np.stack(
-        [
-            _squares(predicted.recorded - predicted.before, predicted.variance, counts),
-            _squares(predicted.recorded - predicted.after, predicted.variance_after, counts),
-            _squares(np.hypot(FLOOR_REL * light_dn, FLOOR_DN), predicted.variance_after, counts),
-            counts.astype(np.float64),
-            _squares(predicted.recorded - predicted.before, predicted.variance_after, counts),
-        ]
-    )
     # A model's error recurs at a place in every frame: a draw takes a block in all of them.
-    blocks = in_blocks(squares.sum(axis=1), BLOCK_PX).sum(axis=(-3, -1)).reshape(len(squares), -1)
-    before, after, floor = _gaps(squares.sum(axis=(1, 2, 3)))
+    squares = _squares_over_frames(predicted, counts, setup.sensor.black_level_dn)
+    blocks = in_blocks(squares, BLOCK_PX).sum(axis=(-3, -1)).reshape(len(squares), -1)
+    before, after, floor = _gaps(squares.sum(axis=(1, 2)))
     # Draws of the bootstrap.
     draws = np.random.default_rng(seed).integers(0, blocks.shape[1], (400, blocks.shape[1]))
     sums = blocks[:, draws].sum(axis=2)
@@ -244,6 +235,26 @@ def measure_gap(
         seam_lateral_mm=seam.lateral_mm,
         seam_vertical_mm=seam.vertical_mm,
     )
+
+
+def _squares_over_frames(predicted: HeldOutPrediction, counts: Bool, black_level_dn: float) -> Float64:
+    """Return whitened squares (5, H, W), each the sum over all frames of the pixels that count.
+
+    They are those of the residuals before, after, and of the model's floor, then the number of pixels, and
+    the residuals before in the variance after.
+    """
+    sums = np.zeros((5, *counts.shape[1:]))
+    # Frame by frame: what is held for all of them at once takes longer to reserve than to compute.
+    for n, use in enumerate(counts):
+        recorded, before, after = predicted.recorded[n], predicted.before[n], predicted.after[n]
+        floor_dn = np.hypot(FLOOR_REL * (after.astype(np.float64) - black_level_dn), FLOOR_DN)
+        variance_after = predicted.variance_after[n]
+        sums[0] += _squares(recorded - before, predicted.variance[n], use)
+        sums[1] += _squares(recorded - after, variance_after, use)
+        sums[2] += _squares(floor_dn, variance_after, use)
+        sums[3] += use
+        sums[4] += _squares(recorded - before, variance_after, use)
+    return sums
 
 
 def _squares(residuals_dn: Float64 | Float32, variance: Float64 | Float32, counts: Bool) -> Float64:

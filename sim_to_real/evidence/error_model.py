@@ -318,7 +318,7 @@ def smooth_error(covariates: Covariates, policy: Policy) -> Float32:
         for source in sources
         for tilt in (np.ones_like(source), *tilts)
     ]
-    return np.hstack([*over_image, *over_faces, *over_frames]).astype(np.float32)
+    return np.hstack([*over_image, *over_faces, *over_frames], dtype=np.float32)
 
 
 def _centre(values: Float32) -> Float32:

@@ -198,12 +198,14 @@ def robust_weights(residuals: Float64 | Float32, columns: Float32, dof: float) -
     r = residuals.astype(np.float32)
     weights = np.ones(len(r), dtype=np.float32)
     for _ in range(4):
-        weighted = columns * weights[:, np.newaxis]
-        information = (weighted.T @ columns).astype(np.float64)
+        roots = np.sqrt(weights)
+        weighted = columns * roots[:, np.newaxis]
+        # Of one array with itself BLAS computes half of the products.
+        information = (weighted.T @ weighted).astype(np.float64)
         # Float products of large columns leave errors of a millionth: a ridge of it keeps the system regular.
         information[np.diag_indices_from(information)] *= 1.0 + 1e-5
         information[np.diag_indices_from(information)] += 1.0
-        sizes = np.linalg.solve(information, (weighted.T @ r).astype(np.float64))
+        sizes = np.linalg.solve(information, (weighted.T @ (roots * r)).astype(np.float64))
         rest = r - columns @ sizes.astype(np.float32)
         weights = np.minimum((dof + 1.0) / (dof + rest**2), 1.0).astype(np.float32)
     return weights
