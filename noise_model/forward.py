@@ -368,7 +368,8 @@ def pass_on(true: Setup, light: Light, view: View, condition: Condition, rng: Dr
     `true` and `condition` are what is really there; `light` is e- for `camera.exposure_s` and becomes that of
     the condition's exposure. `rng` draws the random effects, without it they add to the variance.
     """
-    for effect, values in acting(true):
+    effects = tuple(acting(true))
+    for effect, values in effects:
         if effect.light is not None:
             effect.light(light, view, condition, values, rng)
     if view.is_frame:
@@ -377,6 +378,6 @@ def pass_on(true: Setup, light: Light, view: View, condition: Condition, rng: Dr
         inner, around = view.inner
         light.pass_through(lambda values: blur_inner(values, inner, around, true.camera.psf_sigma_px))
     light.scale(condition.exposure_s / true.camera.exposure_s)
-    for effect, values in acting(true):
+    for effect, values in effects:
         if effect.image is not None:
             effect.image(light, view, condition, values, rng)

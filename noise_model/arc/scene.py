@@ -145,13 +145,12 @@ def make_scene(
 def make_scenes(setup: Setup, T_base_tool: Sequence[Float64], seams: Sequence[BentSeam]) -> Scenes:
     """Return the scenes of some poses along each stretch of the seam at each of them, see `make_scene`."""
     source = SceneSource.of(setup)
-    return Scenes.of(
-        [
-            scene_along(source, T, line, seam.ground)
-            for T, seam in zip(T_base_tool, seams, strict=True)
-            for line in seam.lines
-        ]
-    )
+    scenes: list[Scene] = []
+    for T, seam in zip(map(as_compiled_for, T_base_tool), seams, strict=True):
+        segment = crossed_segment(source.segments, T, source.sheet, source.ahead_mm)
+        ground = seam.ground.as_floats()
+        scenes += [laid_scene(source, T, segment, line.as_floats(), ground, False) for line in seam.lines]
+    return Scenes.of(scenes)
 
 
 def scene_along(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 
@@ -109,12 +110,16 @@ class Effect:
         """The parameters' neutral values."""
         return {parameter.name: parameter.start for parameter in self.parameters}
 
+    @cached_property
+    def _by_name(self) -> dict[str, Parameter]:
+        return {parameter.name: parameter for parameter in self.parameters}
+
     def complete(self, values: Values) -> dict[str, float]:
         """Return all parameters, those not given neutral.
 
         Raises ValueError for an unknown name and for a value that is no finite number within its bounds.
         """
-        known = {parameter.name: parameter for parameter in self.parameters}
+        known = self._by_name
         for name, value in values.items():
             if name not in known:
                 raise ValueError(

@@ -40,15 +40,19 @@ def half_diagonals(view: View, u_px: float, v_px: float) -> tuple[Float32, Float
 def _dirty_window(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
     camera = view.setup.camera
     u, v = half_diagonals(view, 0.5 * (camera.width - 1), 0.5 * (camera.height - 1))
-    passed, scattered = np.ones(view.shape, dtype=np.float32), np.zeros(view.shape, dtype=np.float32)
+    passed: Float32 = np.ones(1, dtype=np.float32)
+    scattered: Float32 = np.zeros(1, dtype=np.float32)
     for n in PATCHES:
         dimming, scatter = np.float32(values[f"dimming_{n}"]), np.float32(values[f"scatter_{n}"])
         if dimming == 0.0 and scatter == 0.0:
             continue
         square = (u - np.float32(values[f"u_{n}"])) ** 2 + (v - np.float32(values[f"v_{n}"])) ** 2
         patch = np.exp(np.float32(-0.5 / values[f"radius_{n}"] ** 2) * square)
-        passed *= 1 - dimming * patch
-        scattered += scatter * patch
+        # Most patches do but one of both.
+        if dimming != 0.0:
+            passed = np.asarray(passed * (1 - dimming * patch), dtype=np.float32)
+        if scatter != 0.0:
+            scattered = np.asarray(scattered + scatter * patch, dtype=np.float32)
     light.spread(passed, scattered, view.mean)
 
 

@@ -39,12 +39,12 @@ def _blooming(light: Light, view: View, condition: Condition, values: Values, dr
     if not view.is_frame:
         return
     well = np.float32(view.setup.sensor.full_well_e)
-    # It takes most of a second to load; only those pay whose setup states the effect.
-    from scipy.signal import lfilter
-
     excess = np.maximum(light.total - well, 0.0)
     if not excess.any():
         return
+    # It takes most of a second to load; only those pay whose setup states the effect.
+    from scipy.signal import lfilter
+
     columns = np.flatnonzero(excess.any(axis=0))
     fall = math.exp(-1.0 / values["reach_px"])
     # A recursive filter: each pixel hands on the share `fall` of what came to it and of its own excess.

@@ -33,8 +33,8 @@ MIN_TRANSMISSION = 1e-6
 PROFILE_ANGLES = 64
 """Angles between which a filter's transmission is interpolated over the field."""
 
-NODES = 8
-"""Gauss-Legendre nodes in each piece of a passband."""
+NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(8)
+"""Gauss-Legendre nodes (8,) in each piece of a passband, from -1 to 1, and their weights (8,)."""
 
 PIECES = 12
 """Pieces of a Gaussian's passband."""
@@ -272,11 +272,10 @@ def passed_continuum(
     nodes between the wavelengths where T_0 changes its form: some hundred values for each angle. For a whole
     image see `over_field`.
     """
-    x, w = np.polynomial.legendre.leggauss(NODES)
     edges = optics.edges_nm()
     half = 0.5 * np.diff(edges)
-    u = (edges[:-1] + half)[:, np.newaxis] + half[:, np.newaxis] * x
-    weight = half[:, np.newaxis] * w * optics.at_normal(u)
+    u = (edges[:-1] + half)[:, np.newaxis] + half[:, np.newaxis] * NODES
+    weight = half[:, np.newaxis] * NODE_WEIGHTS * optics.at_normal(u)
     s = angle_shift(theta, optics.effective_index)
     B = spectrum.continuum(s[..., np.newaxis] * u.ravel())
     return np.asarray(s * (B @ weight.ravel()))

@@ -8,7 +8,7 @@ corrugation adds c(x) to every height. Surfaces hide what is behind them from ei
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -381,11 +381,13 @@ class BentSeam:
         cls, line_at: Callable[[float], SeamLine], seen_mm: tuple[float, float], torch_mm: float, count: int
     ) -> BentSeam:
         """Return the same in so many stretches."""
-        first, last = seen_mm
-        step = (last - first) / count
-        stretches = tuple(line_at(float(first + step * (n + 0.5))) for n in range(count))
-        ground = line_at(torch_mm)
-        return cls(stretches, SeamLine(torch_mm, ground.y_mm, ground.z_mm))
+        *stretches, ground = map(line_at, stretch_stations_mm(seen_mm, torch_mm, count).tolist())
+        return cls.over_ground(stretches, ground)
+
+    @classmethod
+    def over_ground(cls, stretches: Iterable[SeamLine], tangent: SeamLine) -> BentSeam:
+        """Return the seam of some stretches; `tangent` is that at the torch, where the arc stands."""
+        return cls(tuple(stretches), SeamLine(*tangent[:3]))
 
     @property
     def middle(self) -> SeamLine:
@@ -397,6 +399,12 @@ class BentSeam:
         stations = np.array([line.station_mm for line in self.lines])
         index = np.searchsorted(0.5 * (stations[1:] + stations[:-1]), stations_mm)
         return np.where(np.isnan(stations_mm), len(self.lines) // 2, index)
+
+
+def stretch_stations_mm(seen_mm: tuple[float, float], torch_mm: float, count: int) -> Float64:
+    """Return the stations (count + 1,), mm, of stretches between two stations, and last the torch's."""
+    step = (seen_mm[1] - seen_mm[0]) / count
+    return np.append(seen_mm[0] + step * (np.arange(count) + 0.5), torch_mm)
 
 
 Seam = SeamLine | BentSeam

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from noise_model.compiled.arrays import Float64
-from noise_model.surface.joint import STRETCH_ASIDE_MM, BentSeam, SeamLine
+from noise_model.surface.joint import STRETCH_ASIDE_MM, BentSeam, SeamLine, stretch_stations_mm
 from tracker.seam.gaussian_process import SLOPE_SIGMA
 
 BEND_MM, BEND_LENGTH_MM = (1.0, 0.02), 30.0
@@ -140,8 +140,9 @@ class SeamCurve:
         The arc stands at the height that the seam has at the torch's station. The stretches are as many for
         all coefficients: light would jump where their number changes.
         """
-        count = self._stretches(first_mm, last_mm)
-        return BentSeam.in_stretches(self.tangents(coefficients), (first_mm, last_mm), torch_mm, count)
+        stations_mm = stretch_stations_mm((first_mm, last_mm), torch_mm, self._stretches(first_mm, last_mm))
+        *stretches, ground = self._tangents_of(self.evaluate(coefficients), stations_mm)
+        return BentSeam.over_ground(stretches, ground)
 
     def _stretches(self, first_mm: float, last_mm: float) -> int:
         """Return the number of stretches that show the mean."""
@@ -154,14 +155,13 @@ class SeamCurve:
 
     def tangents(self, coefficients: Float64) -> Callable[[float], SeamLine]:
         """Return the function that gives the seam's tangent at a station, mm, for coefficients (m,)."""
-        curves = np.concatenate(self.evaluate(coefficients))
+        evaluated = self.evaluate(coefficients)
+        return lambda station_mm: self._tangents_of(evaluated, np.array([station_mm]))[0]
 
-        def tangent_at(station_mm: float) -> SeamLine:
-            return SeamLine(
-                station_mm, *(float(np.interp(station_mm, self.stations_mm, curve)) for curve in curves)
-            )
-
-        return tangent_at
+    def _tangents_of(self, evaluated: tuple[Float64, Float64], stations_mm: Float64) -> list[SeamLine]:
+        """Return the tangents at stations (n,), mm, of displacement and slope (2, g)."""
+        values = [np.interp(stations_mm, self.stations_mm, curve) for curve in np.concatenate(evaluated)]
+        return [SeamLine(*line) for line in np.transpose([stations_mm, *values]).tolist()]
 
     def sigma_mm(self, station_mm: float) -> Float64:
         """Return the 1 sigma (2,) of y and z at a station, mm, that the modes leave."""
