@@ -1,5 +1,6 @@
 """Light of a frame's bins: the predicted bins, their rendering, and the light after effects."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,16 @@ class PredictedBins:
         )
 
 
+def joined_inner(frames: Sequence[PredictedBins]) -> tuple[Int64, Int64]:
+    """Return the `inner` of bins near those that count, of all frames one after another."""
+    starts = np.cumsum([0, *(len(bins.places) for bins in frames)])
+    parts = [(bins.inner, start) for bins, start in zip(frames, starts[:-1].tolist(), strict=True)]
+    inner, around = zip(
+        *((inner[0] + start, inner[1] + start) for inner, start in parts if inner is not None), strict=True
+    )
+    return np.concatenate(inner), np.concatenate(around)
+
+
 @dataclass(frozen=True, eq=False)
 class Rendering:
     """Light of a pose (...,), e- for the nominal exposure and output, before any effect on the image.
@@ -93,13 +104,18 @@ class FrameLight:
     def mean_dn(self, more_e: float = 0.0) -> Float64:
         """Return the mean DN (n,), of somewhat more light if that is asked for."""
         mean_e = self.arc_e + self.laser_e + self.other_e + np.float32(more_e)
-        # A bin is a mean of pixels: each of them rounds and is cut with a pixel's noise.
-        noise_e2 = np.maximum(mean_e, 0.0) + self.sensor.read_noise_e**2
-        return respond_moments(mean_e, noise_e2, self.sensor)[0] + self.black_dn
+        return expected_dn(mean_e, self.sensor) + self.black_dn
 
     def dn_per_e(self) -> Float64:
         """Return the derivatives of the mean with charge (n,), DN/e-."""
         return (self.mean_dn(CHARGE_STEP_E) - self.mean_dn()) / CHARGE_STEP_E
+
+
+def expected_dn(mean_e: Float32, sensor: Sensor) -> Float64:
+    """Return the mean DN (n,) of bins with mean charges (n,)."""
+    # A bin is a mean of pixels: each of them rounds and is cut with a pixel's noise.
+    noise_e2 = np.maximum(mean_e, 0.0) + sensor.read_noise_e**2
+    return respond_moments(mean_e, noise_e2, sensor)[0]
 
 
 def nearest_rendered(rendered: Bool) -> npt.NDArray[np.intp]:

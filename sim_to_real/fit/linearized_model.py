@@ -16,15 +16,22 @@ import cv2
 import numpy as np
 
 from noise_model.compiled.arrays import Float32, Float64, Int64
-from noise_model.effects import REGISTRY, Effects, apply_condition_effects, apply_setup_effects
+from noise_model.effects import REGISTRY, Effects, acting, apply_condition_effects, apply_setup_effects
 from noise_model.effects.light import Light
 from noise_model.forward import pass_on
-from noise_model.instrument.camera import NARROW_PX
+from noise_model.instrument.camera import NARROW_PX, blur_inner
 from noise_model.interreflection.model import BouncedLight, bounced_light
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam
 from sim_to_real.data.binned import ObservedFrame, ObservedRecording, shows_one_face
-from sim_to_real.fit.frame_light import FrameLight, PredictedBins, Rendering, light_factor
+from sim_to_real.fit.frame_light import (
+    FrameLight,
+    PredictedBins,
+    Rendering,
+    expected_dn,
+    joined_inner,
+    light_factor,
+)
 from sim_to_real.fit.nuisances import N_CAMERA, N_LEVELS, apply_levels, nuisances
 from sim_to_real.fit.renderings import Renderings
 from sim_to_real.fit.tangents import Tangents, tangents_at
@@ -163,8 +170,7 @@ class LinearizedModel:
     def lights(self, anchor: Float64, effects: Effects, trend: Trend | None = None) -> list[FrameLight]:
         """Return the light in the bins of each frame at nuisances (p,) and effects; one may have a trend."""
         true = apply_setup_effects(self.renderings.setup(effects, anchor))
-        spreads = true.camera.psf_sigma_px >= NARROW_PX or any(REGISTRY[e].spreads for e in true.effects)
-        every = self._whole if spreads else self._near
+        every = self._whole if _spreads(true) else self._near
 
         def lights_of(frames: Sequence[PredictedBins]) -> list[FrameLight]:
             if trend is None:
@@ -196,12 +202,30 @@ class LinearizedModel:
 
     def residuals(self, lights: Sequence[FrameLight]) -> Float64:
         """Return the whitened residuals (n,) of all bins that count, frame after frame."""
-        return np.concatenate(
-            [
-                (frame.kept_dn - light.mean_dn()) / frame.sigma_dn
-                for frame, light in zip(self.observed.frames, lights, strict=True)
-            ]
+        return self._whitened(np.concatenate([light.mean_dn() for light in lights]))
+
+    def residuals_at(self, anchor: Float64, effects: Effects) -> Float64:
+        """Return the whitened residuals (n,) at nuisances (p,) and effects.
+
+        They are those of `lights`, in less time: nothing is computed that extrapolates the light.
+        """
+        true = apply_setup_effects(self.renderings.setup(effects, anchor))
+        spreads = _spreads(true)
+        is_passed_on = spreads or any(effect.light or effect.image for effect, _ in acting(true))
+        in_bins = self._passed_e if is_passed_on else self._emitted_e
+        self.renderings.trim_caches(self._threads)
+        mean_e = self._over_calls(
+            lambda frames: [in_bins(frames, true, anchor, effects)],
+            self._whole if spreads else self._near,
+            None,
         )
+        return self._whitened(expected_dn(np.concatenate(mean_e), true.sensor))
+
+    def _whitened(self, mean_dn: Float64) -> Float64:
+        """Return the whitened residuals (n,) of a prediction (n,), DN, of all bins that count."""
+        frames = self.observed.frames
+        recorded_dn = np.concatenate([frame.kept_dn for frame in frames])
+        return np.asarray((recorded_dn - mean_dn) / np.concatenate([frame.sigma_dn for frame in frames]))
 
     def nuisance_columns(self, lights: Sequence[FrameLight]) -> Float64:
         """Return the derivatives (n, p) of these residuals with the nuisances."""
@@ -275,6 +299,38 @@ class LinearizedModel:
             pass_on(true, light, view, condition)
             yield rendered, light
 
+    def _passed_e(
+        self, frames: Sequence[PredictedBins], true: Setup, anchor: Float64, effects: Effects
+    ) -> Float32:
+        """Return the charge (n,), e-, of the bins of frames that count."""
+        passed = self._passed_light(frames, true, anchor, effects)
+        return np.concatenate(
+            [light.total.reshape(-1)[bins.kept] for bins, (_, light) in zip(frames, passed, strict=True)]
+        )
+
+    def _emitted_e(
+        self, frames: Sequence[PredictedBins], true: Setup, anchor: Float64, effects: Effects
+    ) -> Float32:
+        """Return the charge (n,), e-, as `_passed_e` does where no effect acts on light that was emitted.
+
+        All frames pass through lens and exposure together. Their bins are those near the ones that count.
+        """
+        conditions = [
+            apply_condition_effects(true, apply_levels(bins.frame.condition, anchor)) for bins in frames
+        ]
+        arc_e, laser_e = self.renderings.sources_e(frames, true, anchor, effects)
+        emitted_e = np.concatenate(
+            [
+                np.float32(condition.arc_level) * of_arc + np.float32(condition.laser_level) * of_laser
+                for condition, of_arc, of_laser in zip(conditions, arc_e, laser_e, strict=True)
+            ]
+        )
+        inner, around = joined_inner(frames)
+        blurred_e = blur_inner(emitted_e, inner, around, true.camera.psf_sigma_px)[inner]
+        exposures = np.array([condition.exposure_s for condition in conditions]) / true.camera.exposure_s
+        counts = [len(bins.kept) for bins in frames]
+        return np.asarray(blurred_e * np.repeat(exposures.astype(np.float32), counts))
+
     def _lights_of(
         self, frames: Sequence[PredictedBins], true: Setup, anchor: Float64, effects: Effects
     ) -> list[FrameLight]:
@@ -296,6 +352,11 @@ class LinearizedModel:
                 )
             )
         return lights
+
+
+def _spreads(true: Setup) -> bool:
+    """Return True if light spreads farther than to a bin's neighbours: whole frames are predicted then."""
+    return true.camera.psf_sigma_px >= NARROW_PX or any(REGISTRY[name].spreads for name in true.effects)
 
 
 def _fourth_difference(image: Float32) -> Float32:

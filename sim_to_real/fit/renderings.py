@@ -129,11 +129,16 @@ class Renderings:
         """Return the renderings of frames, before any effect acts on the image."""
         key = _key(frames, anchor, effects)
         if key not in self._rendered:
-            arc = self._arc_e(frames, true, anchor, effects)
-            laser = self._laser_e(frames, true, anchor, effects)
+            sources_e = self.sources_e(frames, true, anchor, effects)
             views = [self._view(bins, true, anchor, effects) for bins in frames]
-            self._rendered[key] = [Rendering(*parts) for parts in zip(views, arc, laser, strict=True)]
+            self._rendered[key] = [Rendering(*parts) for parts in zip(views, *sources_e, strict=True)]
         return self._rendered[key]
+
+    def sources_e(
+        self, frames: Frames, true: Setup, anchor: Float64, effects: Effects
+    ) -> tuple[list[Float32], list[Float32]]:
+        """Return the arc's and the laser's light of frames as in their `Rendering`."""
+        return self._arc_e(frames, true, anchor, effects), self._laser_e(frames, true, anchor, effects)
 
     def _view(self, bins: PredictedBins, true: Setup, anchor: Float64, effects: Effects) -> View:
         seam, rays = self.seam(bins.frame, anchor, effects), self.rays_of(true.camera)

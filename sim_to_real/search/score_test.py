@@ -252,7 +252,7 @@ class ScoreTest:
 
 def score_effects(model: LinearizedModel, baseline: Refit, ids: Sequence[str]) -> list[ScoreTest]:
     """Return the scores of effects added to a fit without any, those that leave least first."""
-    r = model.residuals(model.lights(baseline.nuisance, {}))
+    r = model.residuals_at(baseline.nuisance, {})
     scores = [_score_effect(model, baseline, r, name) for name in ids]
     return sorted(scores, key=lambda score: score.residual_fraction)
 
@@ -303,10 +303,11 @@ def _try_family(
 ) -> _Trial:
     """Predict a family's probe points about an origin, those of one part if the effect has several."""
     family_of_part = family.for_part(part)
-    shaped, columns = {**origin, **family_of_part.shape}, []
-    for point in probe_points_about(name, origin, family_of_part.probe_points):
-        lights = model.lights(baseline.nuisance, {name: {**shaped, **point}})
-        columns.append(model.residuals(lights) - r)
+    shaped = {**origin, **family_of_part.shape}
+    columns = [
+        model.residuals_at(baseline.nuisance, {name: {**shaped, **point}}) - r
+        for point in probe_points_about(name, origin, family_of_part.probe_points)
+    ]
     return _Trial(family, np.column_stack(columns))
 
 

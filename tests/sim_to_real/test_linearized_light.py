@@ -179,3 +179,16 @@ def test_bins_alone_show_what_they_show_in_a_whole_frame(expected, name):
                 getattr(light, source), want, rtol=1e-4, atol=1e-4 * want.max(initial=1.0)
             )
     assert any((light.arc_e > 0.0).any() for light in alone)
+
+
+@pytest.mark.parametrize(
+    "name", ["exposure_drift", "hand_eye", "gamma", "wrong_material", "fume", "dirty_window", "ghost_stripe"]
+)
+def test_residuals_alone_are_those_of_the_light(expected, name):
+    """Of frames all together, of frames one by one, and of whole frames; levels are off nominal."""
+    effects = {name: REGISTRY[name].complete(REGISTRY[name].typical)}
+    place = expected.neutral.copy()
+    place[0], place[1], place[2] = 0.1, -0.1, 0.2
+    want = expected.residuals(expected.lights(place, effects))
+    np.testing.assert_allclose(expected.residuals_at(place, effects), want, atol=1e-3)
+    assert np.abs(want - expected.residuals(expected.lights(place, {}))).max() > 0.1
