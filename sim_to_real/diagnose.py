@@ -118,8 +118,10 @@ def _diagnose(
     verdict = _with_random_effects(
         judgement.verdict, random, random_effects(model, before, ()) if without else random, without
     )
-    p_cause = cause_probability(judgement.leader, weighed.posterior, policy.cause)
-    verdict = weaken(verdict, gap, p_cause if judgement.leader.ids else 1.0, policy)
+    p_cause = 1.0
+    if judgement.leader.ids:
+        p_cause = cause_probability(judgement.leader, weighed.posterior, policy.cause)
+    verdict = weaken(verdict, gap, p_cause, policy)
     tell("locating the gap", 0.9)
     effects: tuple[NamedEffect, ...] = ()
     if verdict is not DiagnosisVerdict.NO_GAP:
