@@ -40,14 +40,18 @@ def half_diagonals(view: View, u_px: float, v_px: float) -> tuple[Float32, Float
 def _dirty_window(light: Light, view: View, condition: Condition, values: Values, draw: Draw) -> None:
     camera = view.setup.camera
     u, v = half_diagonals(view, 0.5 * (camera.width - 1), 0.5 * (camera.height - 1))
+    if view.is_frame:
+        # A patch is a product of a row's and a column's factors.
+        u, v = u[:1], v[:, :1]
     passed: Float32 = np.ones(1, dtype=np.float32)
     scattered: Float32 = np.zeros(1, dtype=np.float32)
     for n in PATCHES:
         dimming, scatter = np.float32(values[f"dimming_{n}"]), np.float32(values[f"scatter_{n}"])
         if dimming == 0.0 and scatter == 0.0:
             continue
-        square = (u - np.float32(values[f"u_{n}"])) ** 2 + (v - np.float32(values[f"v_{n}"])) ** 2
-        patch = np.exp(np.float32(-0.5 / values[f"radius_{n}"] ** 2) * square)
+        per_square = np.float32(-0.5 / values[f"radius_{n}"] ** 2)
+        along_u, along_v = (u - np.float32(values[f"u_{n}"])) ** 2, (v - np.float32(values[f"v_{n}"])) ** 2
+        patch = np.exp(per_square * along_u) * np.exp(per_square * along_v)
         # Most patches do but one of both.
         if dimming != 0.0:
             passed = np.asarray(passed * (1 - dimming * patch), dtype=np.float32)

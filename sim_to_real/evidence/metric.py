@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dtrtrs
 from scipy.optimize import nnls
 from scipy.special import erfcx, log_ndtr
 
@@ -150,35 +151,47 @@ def _at_variance(products: Float64, sides: Float64, variance: float) -> tuple[fl
     """
     information = products[:-1, :-1] / variance + np.eye(len(products) - 1)
     along = products[:-1, -1] / variance
-    root = np.linalg.cholesky(information)
-    target = -solve_triangular(root, along, lower=True)
-    sizes = solve_triangular(root, target, lower=True, trans=1)
+    root = np.asarray(np.linalg.cholesky(information), dtype=np.float64)
+    target = -_solve_lower(root, along)
+    sizes = _solve_lower(root, target, is_transposed=True)
     is_bounded = sides != 0.0
     at_bound = is_bounded & (sides * sizes < 0.0)
     if at_bound.any():
         free, last = np.s_[: np.count_nonzero(~is_bounded)], np.s_[np.count_nonzero(~is_bounded) :]
         bounded = sides[last] * nnls(root[last, last].T * sides[last], target[last])[0]
         rest = target[free] - root[last, free].T @ bounded
-        sizes = np.append(solve_triangular(root[free, free], rest, lower=True, trans=1), bounded)
+        sizes = np.append(_solve_lower(root[free, free], rest, is_transposed=True), bounded)
         # A size this near its bound, in sigmas of its prior, is at it.
         at_bound = is_bounded & (np.abs(sizes) < 1e-9)
         sizes = np.where(at_bound, 0.0, sizes)
-        root = np.linalg.cholesky(information[np.ix_(~at_bound, ~at_bound)])
+        free_information = information[np.ix_(~at_bound, ~at_bound)]
+        root = np.asarray(np.linalg.cholesky(free_information), dtype=np.float64)
     gained = sizes @ along + 0.5 * sizes @ information @ sizes
     nats = -0.5 * products[-1, -1] / variance - gained - np.log(np.diag(root)).sum()
     off_bound = is_bounded[~at_bound]
     if off_bound.any():
-        inverse = solve_triangular(root, np.eye(len(root))[:, off_bound], lower=True)
+        inverse = _solve_lower(root, np.eye(len(root))[:, off_bound])
         sigma = np.sqrt(np.sum(inverse**2, axis=0))
         off = is_bounded & ~at_bound
         nats += np.sum(np.log(2.0) + log_ndtr(sides[off] * sizes[off] / sigma))
     if at_bound.any():
         gradient = (sides * (information @ sizes + along))[at_bound]
-        taken = solve_triangular(root, information[np.ix_(~at_bound, at_bound)], lower=True)
+        taken = _solve_lower(root, information[np.ix_(~at_bound, at_bound)])
         remaining = np.diag(information)[at_bound] - np.sum(taken**2, axis=0)
         nats += np.sum(np.log(erfcx(gradient / np.sqrt(2.0 * remaining))) - 0.5 * np.log(remaining))
     cost = products[-1, -1] + 2.0 * sizes @ products[:-1, -1] + sizes @ products[:-1, :-1] @ sizes
     return float(nats), float(cost)
+
+
+def _solve_lower(root: Float64, known: Float64, is_transposed: bool = False) -> Float64:
+    """Return x (n, ...) of L x = known, or of L^T x = known, for a lower triangular L (n, n) without a zero.
+
+    It is LAPACK's own: of systems this small the checks of `solve_triangular` take most of the time.
+    """
+    if not len(root):
+        return known
+    # LAPACK counts by columns, and takes L for an upper triangular L^T.
+    return np.asarray(dtrtrs(root.T, known, lower=0, trans=0 if is_transposed else 1)[0])
 
 
 def compress(columns: Float32) -> Float32:

@@ -202,7 +202,13 @@ class LinearizedModel:
 
     def residuals(self, lights: Sequence[FrameLight]) -> Float64:
         """Return the whitened residuals (n,) of all bins that count, frame after frame."""
-        return self._whitened(np.concatenate([light.mean_dn() for light in lights]))
+        sensors = {light.sensor for light in lights}
+        if len(sensors) > 1:
+            return self._whitened(np.concatenate([light.mean_dn() for light in lights]))
+        # The sensor responds to all frames at once.
+        mean_e = np.concatenate([light.arc_e + light.laser_e + light.other_e for light in lights])
+        black_dn = np.repeat([light.black_dn for light in lights], self.observed.counts)
+        return self._whitened(expected_dn(mean_e, sensors.pop()) + black_dn)
 
     def residuals_at(self, anchor: Float64, effects: Effects) -> Float64:
         """Return the whitened residuals (n,) at nuisances (p,) and effects.
