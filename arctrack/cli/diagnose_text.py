@@ -31,8 +31,6 @@ def print_one(done: Sequence[DiagnosisResult]) -> None:
         for name, text in lines:
             screen.print(f"[bold]{escape(name):<{width}}[/bold]  ", end="")
             screen.print(text, markup=False, soft_wrap=True)
-        if rows := cost_words.found_rows(diagnosis.costs):
-            screen.print(_cost_table(rows))
         if diagnosis.ranking and diagnosis.verdict is not DiagnosisVerdict.NO_GAP:
             for table in _rankings(diagnosis):
                 screen.print(table)
@@ -100,6 +98,8 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
             f"if {effect.id}" if diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS else effect.id,
             ", ".join(values),
         )
+    if costs := cost_words.found_rows(diagnosis.costs):
+        yield "cost", "; ".join(map(cost_words.in_words, costs))
     if diagnosis.verdict is DiagnosisVerdict.UNKNOWN and diagnosis.left_over is not None:
         yield "left over", words.left_over(*diagnosis.left_over)
     if bound := cost_words.largest_bound(diagnosis.costs):
@@ -116,17 +116,6 @@ def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
         if asked.reason:
             tells = f"tells apart {words.listed(asked.separates, 'and')}: {asked.reason}"
         yield "record next", asked.experiment + (f" ({tells})" if tells else "")
-
-
-def _cost_table(rows: Sequence[cost_words.CostRow]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    table.add_column("cost to the seam", no_wrap=True)
-    for heading in ("side, mm", "95 %", "height, mm", "95 %"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("")
-    for row in rows:
-        table.add_row(row.id, *row.lateral, *row.vertical, row.note)
-    return table
 
 
 def _rankings(diagnosis: Diagnosis) -> Iterator[Table]:

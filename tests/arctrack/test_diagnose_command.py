@@ -85,12 +85,14 @@ def test_one_recording_on_one_screen(found: Found, recording: Path) -> None:
     assert {path.name for path in (recording / "diagnosis").iterdir()} == set(FILES)
     lines = result.stdout.splitlines()
     assert len(lines) < 30
-    assert lines[0].startswith("2 effects explain the gap together: gamma (the response")
-    assert "the gap in the images shrinks from" in lines[1]
-    assert "0.25 mm that the weld can bear" in lines[2]
+    assert lines[0].startswith("The model does not hold: p < 0.0001")
+    assert lines[1].startswith("2 effects explain the gap together: gamma (the response")
+    assert "the gap in the images shrinks from" in lines[2]
+    assert "0.25 mm that the weld can bear" in lines[3]
     text = " ".join(result.stdout.split())
     for part in (
         "gamma gamma = 0.7400 ± 0.0074",
+        "gamma moves the seam 0.001 mm (0.001 to 0.001) to the side and 0.212 mm (0.200 to 0.221) in height",
         "grey level (81 %)",
         "wrong_material | fume",
         "two exposures",

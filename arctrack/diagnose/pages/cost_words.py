@@ -74,6 +74,16 @@ def bound_rows(costs: Sequence[EffectCost]) -> list[CostRow]:
     return [_row(cost) for cost in costs if cost.is_bound]
 
 
+def in_words(row: CostRow) -> str:
+    """Return a row as a sentence."""
+    side, height = (
+        f"{size} mm" + (f" ({interval})" if interval else "")
+        for size, interval in (row.lateral, row.vertical)
+    )
+    note = f"; {row.note}" if row.note else ""
+    return f"{row.id} moves the seam {side} to the side and {height} in height{note}"
+
+
 def largest_bound(costs: Sequence[EffectCost]) -> str:
     """Return which effect that was not found may cost most, in a sentence; nothing without any."""
     known = [cost for cost in costs if cost.is_bound and math.isfinite(cost.max_mm)]
