@@ -11,7 +11,6 @@ Random effects are left out: they are told by scatter, not by these bins.
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +21,16 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from noise_model.compiled.arrays import Bool, Float64
+from sim_to_real.evidence.confidence import cause_features
 from sim_to_real.evidence.policy import POLICY
 from sim_to_real.search.score_test import FAMILIES
+from validation.blind_check.files import opened_results
 
 SEED = 0
-"""The seed of the division into halves."""
+"""The seed of the division into halves, in the order of the folders' names."""
+
+WEIGHTS = ("ln_odds", "per_nat_added", "per_nat_alone", "per_open_share")
+"""Names of the weights in `CausePolicy`."""
 
 RIDGE = 0.05
 """Weight of the squared slopes beside the log loss: some sets of diagnoses are separable."""
@@ -46,32 +50,21 @@ class LeadingEffect:
     tier: str
 
     @property
-    def features(self) -> tuple[float, float, float, float]:
-        """The regression's inputs, a constant first."""
-        cause = POLICY.cause
-        return (
-            1.0,
-            float(np.clip(self.more_nats, *cause.added_nats)),
-            float(np.clip(self.alone_nats, *cause.alone_nats)),
-            float(np.clip(self.open_share, 0.0, 1.0)),
-        )
+    def features(self) -> Float64:
+        """The regression's inputs (4,)."""
+        return cause_features(self.more_nats, self.alone_nats, self.open_share, POLICY.cause)
 
 
 def leading_effects(folder: Path) -> Iterator[LeadingEffect]:
     """Yield the effects that lead in a check's reports."""
-    labels = json.loads((folder / "labels.json").read_text(encoding="utf-8"))["labels"]
-    for path in sorted((folder / "results").glob("*.json")):
-        result = json.loads(path.read_text(encoding="utf-8"))
-        if result["problem"] is not None or result["experiment"] is not None:
-            continue
-        label = labels[result["recording"]]["label"]
-        found = leading_effect(result["report"], set(label["effects"]), set(result["without"]))
+    for result in opened_results(folder):
+        found = leading_effect(result.report, result.hidden, result.without)
         if found is not None:
-            yield LeadingEffect(*found, "B" if result["without"] else label["tier"])
+            yield LeadingEffect(*found, "B" if result.without else result.tier)
 
 
 def leading_effect(
-    report: dict[str, Any], hidden: set[str], without: set[str]
+    report: dict[str, Any], hidden: frozenset[str], without: frozenset[str]
 ) -> tuple[float, float, float, bool] | None:
     """Return what a report says of its leading effect, None where no single one leads."""
     compared = [reason for reason in report["reasons"] if reason["effects"]]
@@ -131,16 +124,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("checks", nargs="+", type=Path, help="folders of opened checks")
     asked = parser.parse_args()
-    effects = [effect for folder in asked.checks for effect in leading_effects(folder)]
+    effects = [effect for folder in sorted(asked.checks) for effect in leading_effects(folder)]
     features = np.array([effect.features for effect in effects])
     right = np.array([effect.is_right for effect in effects])
     is_fitted = np.random.default_rng(SEED).random(len(effects)) < 0.5
     weights = fitted(features[is_fitted], right[is_fitted])
-    names = ("ln_odds", "per_nat_added", "per_nat_alone", "per_open_share")
-    print(", ".join(f"{name} = {value:.4f}" for name, value in zip(names, weights, strict=True)))
+    print(", ".join(f"{name} = {value:.4f}" for name, value in zip(WEIGHTS, weights, strict=True)))
     judged = [effect for effect, is_in in zip(effects, is_fitted, strict=True) if not is_in]
-    stated = np.array([getattr(POLICY.cause, name) for name in names])
-    print_judged("the other half, by the policy's weights", expit(features[~is_fitted] @ stated), judged)
+    p = expit(features[~is_fitted] @ POLICY.cause.weights)
+    print_judged("the other half, by the policy's weights", p, judged)
 
 
 if __name__ == "__main__":

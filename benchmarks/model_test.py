@@ -10,7 +10,6 @@ are below 0.01, by tier.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -23,20 +22,19 @@ from scipy.stats import kstest
 
 from noise_model.compiled.arrays import Float64
 from sim_to_real.decision.model_test import PROBABILITIES, QUIET, global_p_value
+from validation.blind_check.files import opened_results
 
 SEED = 0
-"""The seed of the division into halves."""
+"""The seed of the division into halves, the folder whose name is last coming first."""
 
 RANDOM = ("read_noise", "fixed_pattern", "laser_speckle", "spatter", "image_compression")
 
 
 def statistics(folder: Path) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield each recording's tier and statistics as its report has them."""
-    labels = json.loads((folder / "labels.json").read_text(encoding="utf-8"))["labels"]
-    for path in sorted((folder / "results").glob("*.json")):
-        result = json.loads(path.read_text(encoding="utf-8"))
-        if result["problem"] is None and result["experiment"] is None and not result["without"]:
-            yield labels[result["recording"]]["label"]["tier"], of_report(result["report"])
+    for result in opened_results(folder):
+        if not result.without:
+            yield result.tier, of_report(result.report)
 
 
 def of_report(report: Mapping[str, Any]) -> dict[str, float]:
@@ -60,7 +58,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("checks", nargs="+", type=Path, help="folders of opened checks")
     tiers: dict[str, list[dict[str, float]]] = defaultdict(list)
-    for folder in parser.parse_args().checks:
+    for folder in sorted(parser.parse_args().checks, reverse=True):
         for tier, found in statistics(folder):
             tiers[tier].append(found)
     quiet = tiers.pop("E")

@@ -31,6 +31,7 @@ from sim_to_real.evidence.hypotheses import Posterior
 from sim_to_real.evidence.policy import POLICY, Policy
 from sim_to_real.evidence.weigh import judge
 from sim_to_real.search.score_test import FAMILIES
+from validation.blind_check.files import opened_results
 
 SHARE = 0.2
 """By so much a constant is changed."""
@@ -95,12 +96,8 @@ class Compared:
 
 def compared(folder: Path) -> Iterator[Compared]:
     """Yield what was compared in each recording of an opened check that has a report."""
-    labels = json.loads((folder / "labels.json").read_text(encoding="utf-8"))["labels"]
-    for path in sorted((folder / "results").glob("*.json")):
-        result = json.loads(path.read_text(encoding="utf-8"))
-        if result["problem"] is not None or result["experiment"] is not None:
-            continue
-        reasons = result["report"]["reasons"]
+    for result in opened_results(folder):
+        reasons = result.report["reasons"]
         every = {reason["rule"]: Told(tuple(reason["effects"]), reason["value"]) for reason in reasons}
         (unknown,) = (told for rule, told in every.items() if rule.startswith(UNKNOWN))
         (none,) = (told for told in every.values() if not told.ids and told is not unknown)
@@ -110,10 +107,8 @@ def compared(folder: Path) -> Iterator[Compared]:
             for rule, told in every.items()
             if told.ids and BESIDE not in rule
         )
-        hidden: frozenset[str] | None = frozenset(labels[result["recording"]]["label"]["effects"])
-        if hidden and hidden & set(result["without"]):
-            hidden = None
-        n_effects = len(FAMILIES) - len(result["without"])
+        hidden = None if result.hidden & result.without else result.hidden
+        n_effects = len(FAMILIES) - len(result.without)
         yield Compared(none, hypotheses, unknown, n_effects, hidden)
 
 

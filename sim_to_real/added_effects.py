@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from noise_model.effects import Effects
 from noise_model.setup import Setup
-from sim_to_real.baseline import Baseline, OnStage, fit_baseline
+from sim_to_real.baseline import Baseline, OnStage, fit_baseline, silent
 from sim_to_real.data.binned import PoseAt
 from sim_to_real.decision.holdout_gap import combined_predictions, measure_gap, predict_holdout
 from sim_to_real.decision.seam_error import SeamErrors, seam_errors_mm
@@ -48,9 +48,9 @@ def predict_with_added(
         added = replace(setup, effects={**setup.effects, **effects})
         none = excluded_effects(setup, ())
         on_stage("fitting nuisances as the setup is", 0.0)
-        before = fit_baseline(setup, frames, pose_at, threads, none, _silent)
+        before = fit_baseline(setup, frames, pose_at, threads, none, silent)
         on_stage("fitting nuisances with the effects", 0.35)
-        after = fit_baseline(added, frames, pose_at, threads, none, _silent)
+        after = fit_baseline(added, frames, pose_at, threads, none, silent)
         levels = {name: values for name, values in effects.items() if name == FLICKER}
         fitted = refit(after.model, levels, after.fitted.nuisance) if levels else after.fitted
         on_stage("predicting the frames held out", 0.7)
@@ -71,7 +71,3 @@ def predict_with_added(
 
 def _predicted(baseline: Baseline, fitted: Refit) -> HeldOutPrediction:
     return predict_holdout(baseline.held_out, baseline.model, (fitted, {}), (fitted, {}), lambda done: None)
-
-
-def _silent(text: str, share: float) -> None:
-    pass

@@ -30,6 +30,10 @@ class Baseline:
     held_out: ObservedRecording
 
 
+def silent(text: str, share: float) -> None:
+    """Ignore a stage: the listener of nobody."""
+
+
 def fit_baseline(
     setup: Setup,
     frames: Sequence[Frame],

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from noise_model.effects import REGISTRY
 from noise_model.setup import Setup
-from sim_to_real.baseline import OnStage, fit_baseline
+from sim_to_real.baseline import OnStage, fit_baseline, silent
 from sim_to_real.data.binned import ObservedRecording, PoseAt
 from sim_to_real.decision.describe_unknown import describe_unknown
 from sim_to_real.decision.holdout_gap import excess_map, measure_gap, predict_holdout
@@ -79,7 +79,7 @@ def diagnose(
             raise ValueError(f"{name}: no such effect, there are {', '.join(REGISTRY)}")
     # Many small matrices: the threads of BLAS would wait for each other longer than they compute.
     with threadpool_limits(1, user_api="blas"):
-        tell = _never_falling(on_stage or _silent)
+        tell = _never_falling(on_stage or silent)
         return _diagnose(setup, frames, pose_at, excluded_effects(setup, without), tell, threads, policy)
 
 
@@ -225,10 +225,6 @@ class HeldOut(NamedTuple):
         return measure_gap(predicted, self.setup)
 
 
-def _silent(text: str, share: float) -> None:
-    pass
-
-
 def _never_falling(on_stage: OnStage) -> OnStage:
     """Return a listener whose share of work never falls: a search may start a further round."""
     largest = 0.0
@@ -334,12 +330,12 @@ def _unknown_and_next(
     fitted = leader if leader.ids else weighed.posterior.none.refit
     compared = of_bins.subset(weighed.bins)
     unknown = describe_unknown(model, compared, fitted, functions, errors, policy)
-    if asked is None or not asked.resolves or not is_catalogued(weighed):
+    if asked is None or not asked.resolves or not has_rivals(weighed):
         asked = unknown_experiment(model, compared, fitted, errors, unknown.terms, policy)
     return unknown, asked
 
 
-def is_catalogued(weighed: WeightedHypotheses) -> bool:
+def has_rivals(weighed: WeightedHypotheses) -> bool:
     """Return True if two effects or more may be the whole cause."""
     probabilities = weighed.posterior.of_effects.values()
     return sum(p >= weighed.policy.possible for p in probabilities) > 1

@@ -2,8 +2,10 @@
 
 import math
 
+import numpy as np
 from scipy.special import expit
 
+from noise_model.compiled.arrays import Float64
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.policy import CausePolicy
 
@@ -11,19 +13,28 @@ from sim_to_real.evidence.policy import CausePolicy
 def cause_probability(leader: Hypothesis, posterior: Posterior, policy: CausePolicy) -> float:
     """Return the probability that a leading hypothesis' effects are there and mimic nothing unknown.
 
-    It is a logistic regression on opened blind checks, in which half of the leading effects' causes were in
-    the catalogue and half were withheld (`CausePolicy`).
+    It is a logistic regression on opened blind checks (`CausePolicy`).
     """
-    added, closed = leader.with_unknown, closed_in_bins(leader, posterior)
+    added, open_share = leader.with_unknown, 1.0 - closed_in_bins(leader, posterior)
     more_nats = -math.inf if added is None else added.evidence - leader.evidence
     alone_nats = posterior.unknown.evidence - leader.evidence
-    ln_odds = (
-        policy.ln_odds
-        + policy.per_nat_added * min(max(more_nats, policy.added_nats[0]), policy.added_nats[1])
-        + policy.per_nat_alone * min(max(alone_nats, policy.alone_nats[0]), policy.alone_nats[1])
-        + policy.per_open_share * (min(max(1.0 - closed, 0.0), 1.0) if math.isfinite(closed) else 0.0)
+    return float(expit(cause_features(more_nats, alone_nats, open_share, policy) @ policy.weights))
+
+
+def cause_features(more_nats: float, alone_nats: float, open_share: float, policy: CausePolicy) -> Float64:
+    """Return the regression's inputs (4,), a constant first.
+
+    `more_nats` is by how many nats the effects with an unknown cause are likelier than alone, `alone_nats`
+    by how many an unknown cause alone is; `open_share` of the bins' gap stays open, NaN without a gap.
+    """
+    return np.array(
+        [
+            1.0,
+            np.clip(more_nats, *policy.added_nats),
+            np.clip(alone_nats, *policy.alone_nats),
+            np.clip(np.nan_to_num(open_share), 0.0, 1.0),
+        ]
     )
-    return float(expit(ln_odds))
 
 
 def gap_in_bins(hypothesis: Hypothesis, posterior: Posterior) -> float:

@@ -88,7 +88,7 @@ def test_terms_of_different_kinds_are_told_apart(bins):
 @pytest.mark.slow
 def test_a_withheld_cause_is_described_and_an_experiment_asked_for(tmp_path, monkeypatch):
     """No effect counts as the whole cause, so the unknown's own terms choose the experiment."""
-    monkeypatch.setattr(diagnosing, "is_catalogued", lambda weighed: False)
+    monkeypatch.setattr(diagnosing, "has_rivals", lambda weighed: False)
     recording = recorded(tmp_path / "r", {"gamma": {"gamma": 1.35}}, EXACT)
     diagnosis = diagnose(*recording, without=("gamma",))
     assert diagnosis.verdict is DiagnosisVerdict.UNKNOWN

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from worlds import ARC, BOTH, DARK, LASER, charge_of, moment_of, pose, studio_of, world_of
+from worlds import ARC, BOTH, DARK, LASER, charge_of, moment_of, overfull_world, pose, studio_of, world_of
 
 from noise_model.effects import REGISTRY
 from validation.second_renderer.world import (
@@ -50,10 +50,7 @@ def test_it_has_the_catalogues_effects_and_another_form_of_most():
 
 @pytest.fixture(scope="module")
 def world():
-    world = world_of(width=80)
-    # A stripe beyond full well: blooming has something to spill.
-    laser = dataclasses.replace(world.setup.laser, peak_e=3.0e4)
-    return dataclasses.replace(world, setup=dataclasses.replace(world.setup, laser=laser))
+    return overfull_world()
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from worlds import ARC, BOTH, DARK, LASER, charge_of, moment_of, studio_of, world_of
+from worlds import ARC, BOTH, DARK, LASER, charge_of, moment_of, overfull_world, studio_of
 
 from validation.second_renderer.world import (
     FORMS,
@@ -29,10 +29,7 @@ IN_DARK = ("ambient_light", "black_level", "read_noise", "image_compression")
 
 @pytest.fixture(scope="module")
 def world():
-    world = world_of(width=80)
-    # A stripe beyond full well: blooming has something to spill.
-    laser = dataclasses.replace(world.setup.laser, peak_e=3.0e4)
-    return dataclasses.replace(world, setup=dataclasses.replace(world.setup, laser=laser))
+    return overfull_world()
 
 
 @pytest.fixture(scope="module")

@@ -31,6 +31,13 @@ def world_of(*args, **kwargs):
     return TrueWorld(setup_of(*args, **kwargs), np.eye(4))
 
 
+def overfull_world():
+    """A world whose stripe is beyond full well: blooming has something to spill."""
+    world = world_of(width=80)
+    laser = dataclasses.replace(world.setup.laser, peak_e=3.0e4)
+    return dataclasses.replace(world, setup=dataclasses.replace(world.setup, laser=laser))
+
+
 def pose(translation_mm=(2.0, 0.5, 1.0), turn_deg=(2.0, -3.0, 1.0)):
     T_base_tool = np.eye(4)
     T_base_tool[:3, :3] = Rotation.from_rotvec(turn_deg, degrees=True).as_matrix()

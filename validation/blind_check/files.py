@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import ConfigDict, ValidationError, model_validator
 
@@ -144,3 +145,26 @@ def read_check_file(path: Path, kind: type[Table], cure: str = "it was there bef
     except (ValueError, RecursionError) as error:
         raise in_file(path, f"is no JSON: {error}") from None
     return content
+
+
+class OpenedResult(NamedTuple):
+    """A diagnosis of an opened check: the tier, what is hidden and what withheld, the report."""
+
+    tier: str
+    hidden: frozenset[str]
+    without: frozenset[str]
+    report: dict[str, Any]
+
+
+def opened_results(folder: Path) -> Iterator[OpenedResult]:
+    """Yield the diagnoses of a check's recordings that have a report, in the order of their files.
+
+    Recordings that an experiment continued are left out. Seals are not verified: see `blind_check.cases`.
+    """
+    labels = read_check_file(folder / "labels.json", LabelsFile)["labels"]
+    for path in sorted((folder / "results").glob("*.json")):
+        result = read_check_file(path, ResultFile)
+        if result["problem"] is None and result["experiment"] is None:
+            label = labels[result["recording"]]["label"]
+            hidden, without = frozenset(label["effects"]), frozenset(result["without"])
+            yield OpenedResult(label["tier"], hidden, without, result["report"])

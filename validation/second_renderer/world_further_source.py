@@ -29,7 +29,7 @@ from validation.second_renderer.world_effect import (
 from validation.second_renderer.world_laser import fan_deg, lit_by_hall
 from validation.second_renderer.world_light import SheetProfile, TrueWorld
 from validation.second_renderer.world_optics import ARC_K
-from validation.second_renderer.world_source import filter_angle_shift
+from validation.second_renderer.world_source import filter_angle_shift, scale_arc_radius
 
 ARGON_LINES = ((696.543, 3, 6.39e6, 13.3279), (706.722, 5, 3.80e6, 13.3022))
 """Ar I: wavelength, nm, the upper level's weight, the rate, 1/s, and the upper level, eV (NIST ASD)."""
@@ -62,10 +62,7 @@ def _draw_spheroid(draw: Generator, strength: float, setup: Setup) -> dict[str, 
 
 
 def _spheroid(world: TrueWorld, p: Values) -> TrueWorld:
-    arc = world.setup.arc
-    wider = replace(arc, radius_mm=arc.radius_mm * p["radius_ratio"])
-    setup = replace(world.setup, arc=wider)
-    return replace(world, setup=setup, arc_height_ratio=world.arc_height_ratio / p["radius_ratio"])
+    return replace(scale_arc_radius(world, p), arc_height_ratio=world.arc_height_ratio / p["radius_ratio"])
 
 
 def _draw_ripple(draw: Generator, strength: float, setup: Setup) -> dict[str, float]:

@@ -85,7 +85,8 @@ def _draw_radius(draw: Generator, strength: float, setup: Setup) -> dict[str, fl
     return {"radius_ratio": math.exp(signed(draw, magnitude(strength, 0.15, 0.5)))}
 
 
-def _arc_radius(world: TrueWorld, p: Values) -> TrueWorld:
+def scale_arc_radius(world: TrueWorld, p: Values) -> TrueWorld:
+    """Return a world whose arc has another radius."""
     arc = world.setup.arc
     wider = replace(arc, radius_mm=arc.radius_mm * p["radius_ratio"])
     return replace(world, setup=replace(world.setup, arc=wider))
@@ -249,7 +250,7 @@ FORMS: dict[str, tuple[EffectForm, ...]] = {
             moment=_growing_deflection,
         ),
     ),
-    "arc_radius": (EffectForm(CATALOGUE, "R x radius_ratio", _draw_radius, world=_arc_radius),),
+    "arc_radius": (EffectForm(CATALOGUE, "R x radius_ratio", _draw_radius, world=scale_arc_radius),),
     "arc_flicker": (
         EffectForm(
             CATALOGUE, "arc x exp(sigma_rel n), n normal in each frame", _draw_flicker, moment=_flicker
