@@ -27,6 +27,9 @@ from noise_model.instrument.profiler import Profiler
 ENDS_S, SILENT_S = 2.0, 4.0
 """Time after which a stalled stream's last profile is too old, twice the gate's limit, and of the stall."""
 
+SURE = 0.99
+"""Confidence of an offset: the probability that it errs by less than the setup's tolerance of the seam."""
+
 
 class Sender:
     """A sensor's program: the simulated camera's profiles over TCP, until they are held or cut."""
@@ -81,7 +84,8 @@ def test_a_robot_follows_profiles_over_tcp_and_gets_nothing_of_a_stalled_stream(
     name = f"profiles-{os.getpid()}"
     cell = write_simulated_cell(tmp_path / "cell", plan, INTERFACE, GROUP, name)
     _allow_delays(cell)
-    profiler = read_setup_file(cell.with_name("setup.toml")).setup.profiler
+    setup = read_setup_file(cell.with_name("setup.toml")).setup
+    profiler = setup.profiler
     assert profiler is not None
     with (
         SimulatedCell(plan, name) as robot,
@@ -97,7 +101,10 @@ def test_a_robot_follows_profiles_over_tcp_and_gets_nothing_of_a_stalled_stream(
         try:
             ear.listen(lambda: len(ear.valid()) >= 20)
             ear.listen(ear.is_usable)
-            assert ear.valid()[-1].offset_y_mm == pytest.approx(plan.displaced_mm, abs=0.3)
+            # A busy machine drops profiles, and the fit along the seam settles later: as its confidence says.
+            ear.listen(lambda: ear.valid()[-1].confidence >= SURE)
+            seam_mm = setup.tolerance.seam_mm
+            assert ear.valid()[-1].offset_y_mm == pytest.approx(plan.displaced_mm, abs=seam_mm)
 
             sender.is_held, held_s = True, time.monotonic()
             ear.listen(lambda: time.monotonic() > held_s + ENDS_S)
