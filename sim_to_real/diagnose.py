@@ -34,7 +34,12 @@ from sim_to_real.diagnosis import (
     UnknownDescription,
     excluded_effects,
 )
-from sim_to_real.evidence.confidence import cause_probability, closed_in_bins, gap_in_bins
+from sim_to_real.evidence.confidence import (
+    cause_probability,
+    closed_in_bins,
+    gap_in_bins,
+    need_probability,
+)
 from sim_to_real.evidence.error_model import LinearHypothesis
 from sim_to_real.evidence.free_functions import FreeFunctions, all_families, locate
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
@@ -281,7 +286,8 @@ def _named_effects(
     shown = after.ids if judgement.verdict is DiagnosisVerdict.AMBIGUOUS else judgement.named
     effects = {name: values for name, values in after.effects.items() if name in shown}
     sigmas = {**after.sigmas, **random.sigmas}
-    of_each = {name: p_cause * p for name, p in posterior.of_each.items()}
+    need = {name: need_probability(name, judgement.leader, posterior, weighed.policy.need) for name in shown}
+    of_each = {name: p_cause * need.get(name, 1.0) * p for name, p in posterior.of_each.items()}
     confidence = {**random.confidence, **of_each}
     share = _with_random_shares(shares(posterior, judgement.leader), random_before, random)
     named = [

@@ -32,6 +32,27 @@ class CausePolicy:
 
 
 @dataclass(frozen=True)
+class NeedPolicy:
+    """Logistic regression for the probability that each of two effects that lead is there, if the other is.
+
+    Its log odds are `ln_odds`, more for ln of the nats by which both are likelier than the other alone
+    (`per_ln_nat`), and less for each nat by which an unknown cause beside both is likelier (`per_nat_added`):
+    the second of two may stand for what the form of the first lacks. Nats count within `added_nats`. The
+    weights are fitted and judged as those of `CausePolicy` are.
+    """
+
+    ln_odds: float = -5.43
+    per_ln_nat: float = 1.42
+    per_nat_added: float = -0.164
+    added_nats: tuple[float, float] = (-10.0, 30.0)
+
+    @property
+    def weights(self) -> Float64:
+        """The weights (3,) of the features, that of the constant first."""
+        return np.array([self.ln_odds, self.per_ln_nat, self.per_nat_added])
+
+
+@dataclass(frozen=True)
 class Policy:
     """Assumptions of the comparison of hypotheses.
 
@@ -71,6 +92,7 @@ class Policy:
       something unknown acts beside them. On an opened check that holds for 17 of 32 wrong names of a withheld
       cause, and for 3 of 162 right ones.
     - `cause`: how probable it is that what leads mimics nothing unknown.
+    - `need`: how probable it is that each of two effects that lead is there.
     """
 
     negligible: float = 0.05
@@ -91,6 +113,7 @@ class Policy:
     indistinguishable: float = 0.03
     explained: float = 0.9
     cause: CausePolicy = CausePolicy()
+    need: NeedPolicy = NeedPolicy()
 
 
 POLICY = Policy()

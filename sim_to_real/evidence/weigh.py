@@ -12,7 +12,7 @@ from noise_model.compiled.arrays import Float64, Int64
 from noise_model.effects import REGISTRY, not_predicted
 from noise_model.fit import within_bounds
 from sim_to_real.diagnosis import DiagnosisVerdict, ParameterEstimate
-from sim_to_real.evidence.confidence import closed_in_bins
+from sim_to_real.evidence.confidence import closed_in_bins, need_probability
 from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, compared_bins
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
 from sim_to_real.evidence.hypothesis_search import HypothesisSearch
@@ -197,13 +197,25 @@ def judge(posterior: Posterior, policy: Policy) -> Judgement:
     sure = [name for name, p in posterior.of_effects.items() if p >= policy.named * of_effects]
     if sure or len(weighed) < 2:
         leader = next((h for h in likely if set(h.ids) == set(sure)), posterior.hypotheses[0])
+        leader = with_needed(leader, posterior, policy)
         if others := indistinguishable_effects(leader, posterior, policy):
             return Judgement(DiagnosisVerdict.AMBIGUOUS, leader, (), ((*leader.ids, *others),))
-        return Judgement(DiagnosisVerdict.EFFECTS, leader, tuple(sure or leader.ids), ())
+        return Judgement(
+            DiagnosisVerdict.EFFECTS, leader, tuple(n for n in sure or leader.ids if n in leader.ids), ()
+        )
     # Where the next ones are many and none of them likely, the first of these stands for them.
     undecided = likely if len(likely) > 1 else posterior.hypotheses[:2]
     members = tuple(dict.fromkeys(name for hypothesis in undecided for name in hypothesis.ids))
     return Judgement(DiagnosisVerdict.AMBIGUOUS, posterior.hypotheses[0], (), (members,))
+
+
+def with_needed(leader: Hypothesis, posterior: Posterior, policy: Policy) -> Hypothesis:
+    """Return a leading hypothesis, or that of one of its effects where the other is probably not needed."""
+    probabilities = {name: need_probability(name, leader, posterior, policy.need) for name in leader.ids}
+    least = min(probabilities, key=lambda name: probabilities[name])
+    rest = [name for name in leader.ids if name != least]
+    fewer = [h for h in posterior.hypotheses if list(h.ids) == rest]
+    return fewer[0] if probabilities[least] < 0.5 and fewer else leader
 
 
 def indistinguishable_effects(leader: Hypothesis, posterior: Posterior, policy: Policy) -> tuple[str, ...]:

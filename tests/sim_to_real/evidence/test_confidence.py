@@ -1,4 +1,4 @@
-"""How probable it is that a leading effect mimics nothing unknown."""
+"""How probable it is that what leads mimics nothing unknown, and that each of two effects is there."""
 
 import math
 from types import SimpleNamespace
@@ -7,9 +7,9 @@ import pytest
 from scipy.special import expit
 
 from noise_model.effects.effect import Stage
-from sim_to_real.evidence.confidence import cause_probability, closed_in_bins
+from sim_to_real.evidence.confidence import cause_probability, closed_in_bins, need_probability
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior, UnknownCause
-from sim_to_real.evidence.policy import POLICY, CausePolicy
+from sim_to_real.evidence.policy import POLICY, CausePolicy, NeedPolicy
 
 TERM = Stage.OPTICS, "light over the image"
 PLAIN = CausePolicy(1.0, -0.1, -0.01, -2.0, (-10.0, 30.0), (-200.0, 50.0))
@@ -50,3 +50,34 @@ def test_where_there_was_no_gap_nothing_stays_open():
 def test_nothing_is_called_surer_than_checks_have_shown():
     leader, of_all = posterior(1e5, 0.5, beside=-1e5, unknown=-1e5)
     assert 0.95 < cause_probability(leader, of_all, POLICY.cause) < 0.99
+
+
+def two(nats, alone, beside):
+    """A posterior in which both effects lead, one of them fitted alone, too."""
+
+    def hypothesis(nats, *ids, with_unknown=None):
+        added = None if with_unknown is None else UnknownCause({TERM: with_unknown})
+        return Hypothesis(SimpleNamespace(ids=ids, mean_square=1.0), nats, nats, None, {}, added)
+
+    both, one = hypothesis(nats, "gamma", "fume", with_unknown=beside), hypothesis(alone, "fume")
+    return both, Posterior.of(hypothesis(0.0), [both, one], UnknownCause({TERM: 5.0}), 10, POLICY)
+
+
+def test_one_of_two_effects_is_as_probable_as_the_other_lacks_it():
+    plain = NeedPolicy(-2.0, 1.5, -0.1, (-10.0, 30.0))
+    both, of_all = two(100.0, 60.0, 96.0)
+    assert need_probability("gamma", both, of_all, plain) == pytest.approx(
+        expit(-2.0 + 1.5 * math.log(40.0) + 0.4)
+    )
+    # The other one was not fitted alone: no gap is what is left.
+    assert need_probability("fume", both, of_all, plain) == pytest.approx(
+        expit(-2.0 + 1.5 * math.log(100.0) + 0.4)
+    )
+    # An unknown cause beside both: the second stands for what the first lacks.
+    both, of_all = two(100.0, 99.5, 500.0)
+    assert need_probability("gamma", both, of_all, plain) == pytest.approx(expit(-2.0 - 3.0))
+
+
+def test_an_effect_that_leads_alone_is_needed():
+    leader, of_all = posterior(100.0, 2.0)
+    assert need_probability("gamma", leader, of_all, POLICY.need) == 1.0

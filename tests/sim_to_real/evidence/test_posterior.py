@@ -141,3 +141,11 @@ def test_an_effect_that_all_likely_hypotheses_share_is_named_alone():
     assert judgement.verdict is DiagnosisVerdict.EFFECTS
     assert judgement.named == ("gamma",)
     assert judgement.leader.ids == ("gamma",)
+
+
+def test_a_second_effect_that_is_hardly_needed_is_not_named():
+    """It is likelier by what the form of the first may lack."""
+    both = hypothesis(45.0, "gamma", "fume", with_unknown=46.0)
+    judgement = judge(posterior(hypothesis(20.0, "gamma"), both), POLICY)
+    assert judgement.verdict is DiagnosisVerdict.EFFECTS
+    assert judgement.named == judgement.leader.ids == ("gamma",)
