@@ -2,42 +2,30 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
-from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-import arctrack
 from arctrack.check.hint import Hint
 from arctrack.check.seam_place import UNKNOWN_PLACE, SeamPlace
 from arctrack.check.verdict import RunVerdict, verdict_on
 from arctrack.errors import ArctrackError, in_file
-from arctrack.limits import LIMITS
+from arctrack.finished import FinishedRecord, digest_of, sizes
+from arctrack.fleet import FleetRow, FleetState, Number
 from arctrack.offset_count import OffsetCount
-from arctrack.output import folders_for, real, write_whole
+from arctrack.output import folders_for, real
 from arctrack.printable import printable
 from arctrack.recording import Recording, read_recording
-from arctrack.recording.files import FRAMES_CSV, TRUTH_CSV, read_text
-from arctrack.recording.frames import png_path
-from arctrack.recording.live_steps import STATE_JSON, STEPS_CSV
-from arctrack.recording.poses import CSV_NAME, LOG_NAMES
-from arctrack.recording.results import FILES, FINISHED_JSON, RESULTS_CSV, SUMMARY_JSON, Summary
-from arctrack.recording.run_offsets import LIVE_FOLDER, LIVE_RESULTS
+from arctrack.recording.results import FILES, REPLAY_PAGE, RESULTS_CSV, SUMMARY_JSON, Summary
 from arctrack.replay.replay import RESULTS_FOLDER, ReplayOptions, parse_bus, replay_recording, track_alone
-from arctrack.version import __version__
 from arctrack.workers import FailedJob
 from tracker.warm_up import WarmUp
 
-LIVE_TABLE = f"{LIVE_FOLDER}/{LIVE_RESULTS}"
-
-TABLES = (FRAMES_CSV, TRUTH_CSV, CSV_NAME, *LOG_NAMES, STEPS_CSV, STATE_JSON, LIVE_TABLE)
-"""The files of a recording that are compared by content."""
+NEEDED = (RESULTS_CSV, SUMMARY_JSON)
+"""Files without which a replay is not whole."""
 
 
 class FinishedVerdict(BaseModel):
@@ -77,93 +65,23 @@ class FinishedVerdict(BaseModel):
         return RunVerdict(*counts, hint, self.offsets, self.reasons, seam)
 
 
-class ReplayRecord(BaseModel):
-    """Content of finished.json: the digest of the inputs, the sizes in bytes of the output files.
+class ReplayRecord(FinishedRecord):
+    """A finished replay: what `ReplayResult` says of it."""
 
-    The rest is what `ReplayResult` says of the replay.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    format: Literal["arctrack-finished/1"] = "arctrack-finished/1"
-    made_of: str
-    files: dict[str, int]
     summaries: tuple[Summary, ...]
     verdict: FinishedVerdict
     replay_warnings: tuple[str, ...]
     complaint: str | None
 
-    def write(self, folder: Path) -> None:
-        """Write finished.json, whole or not at all; ArctrackError if it cannot be written."""
-        write_whole(folder / FINISHED_JSON, json.dumps(self.model_dump(), indent=2) + "\n")
-
-
-def read_finished(folder: Path, made_of: str) -> ReplayRecord | None:
-    """Return the result of a folder's finished replay; None unless it is whole, and was made of the same."""
-    try:
-        finished = ReplayRecord.model_validate(
-            json.loads(read_text(folder / FINISHED_JSON, LIMITS.toml_bytes))
-        )
-    except (OSError, ValueError):
-        return None
-    whole = {RESULTS_CSV, SUMMARY_JSON} <= finished.files.keys() and finished.files == sizes(folder)
-    return finished if whole and finished.made_of == made_of else None
-
-
-def sizes(folder: Path) -> Mapping[str, int]:
-    """Return the size of each file in a folder that a replay wrote, in bytes."""
-    paths = ((name, folder / name) for name in FILES if name != FINISHED_JSON)
-    return {name: path.stat().st_size for name, path in paths if path.is_file()}
-
 
 def made_of(recording: Recording, options: ReplayOptions) -> str:
-    """Return the digest of what a replay is made of: recording, setup, options, cell file, arctrack itself.
+    """Return the digest of what a replay is made of.
 
     A cell's jobs count with the earlier pass and the weld schedule that they read.
-
-    Tables and setups count by content, frames by name, size and time of change: a fleet's are too many to
-    read twice.
     """
-    digest = hashlib.sha256()
     cell = options.cell
-    for part in (
-        __version__,
-        source_digest(),
-        recording.name,
-        repr(replace(options, cell=None)),
-        *_contents(recording, () if cell is None else (cell.path, *cell.files_read)),
-        *_frames(recording),
-    ):
-        digest.update(hashlib.sha256(part.encode(errors="surrogateescape")).digest())
-    return digest.hexdigest()
-
-
-def _contents(recording: Recording, others: tuple[Path, ...]) -> Iterator[str]:
-    for path in (recording.setup_path, *others, *(recording.path / name for name in TABLES)):
-        is_there = path.is_file()
-        yield hashlib.sha256(path.read_bytes()).hexdigest() if is_there else "none"
-
-
-def _frames(recording: Recording) -> Iterator[str]:
-    source = recording.frame_source
-    paths = [png_path(source, row.index) for row in recording.rows] if source.is_dir() else [source]
-    for path in paths:
-        status = path.stat() if path.exists() else None
-        yield f"{path.name} none" if status is None else f"{path.name} {status.st_size} {status.st_mtime_ns}"
-
-
-@cache
-def source_digest() -> str:
-    """Return the digest of arctrack's own sources: a version of its own for each change of them."""
-    digest = hashlib.sha256()
-    root = real(Path(arctrack.__file__)).parent.parent
-    # A replay's numbers depend on these packages.
-    for package in ("arctrack", "noise_model", "robot_io", "tracker"):
-        for path in sorted((root / package).rglob("*.py")):
-            digest.update(
-                f"{path.relative_to(root)} {hashlib.sha256(path.read_bytes()).hexdigest()}".encode()
-            )
-    return digest.hexdigest()
+    others = () if cell is None else (cell.path, *cell.files_read)
+    return digest_of(recording, repr(replace(options, cell=None)), others)
 
 
 OnFrame = Callable[[int], None]
@@ -259,7 +177,7 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
     """
     recording = read_recording(job.recording, job.setup_path)
     digest = made_of(recording, job.options)
-    earlier = read_finished(job.folder, digest) if job.resume else None
+    earlier = ReplayRecord.read(job.folder, digest, NEEDED, FILES) if job.resume else None
     if earlier is not None:
         return _taken_over(job, recording, earlier)
     listeners = Listeners() if begin is None else begin(recording)
@@ -283,7 +201,7 @@ def replay_job(job: ReplayJob, begin: Callable[[Recording], Listeners] | None = 
     # Last of all, when pictures and logs are closed: what is not there by then was not finished.
     ReplayRecord(
         made_of=digest,
-        files=dict(sizes(job.folder)),
+        files=dict(sizes(job.folder, FILES)),
         summaries=replayed.summaries,
         verdict=FinishedVerdict.of(replayed.verdict),
         replay_warnings=replayed.replay_warnings,
@@ -303,6 +221,38 @@ def _taken_over(job: ReplayJob, recording: Recording, earlier: ReplayRecord) -> 
         WarmUp(0, 0.0),
         is_taken_over=True,
     )
+
+
+FLEET_COLUMNS = {
+    **dict.fromkeys(
+        ("frames", "laser_on", "valid", "offsets_sent", "offsets_wanted", "beyond_limit"), "int64"
+    ),
+    **dict.fromkeys(("y_rms_mm", "z_rms_mm"), "float64"),
+}
+"""Numbers of a replay in a fleet's table, and Arrow's names for their types."""
+
+
+def fleet_row(outcome: Outcome) -> FleetRow:
+    """Return what came of a recording as a row of a fleet's table."""
+    job = outcome.job
+    if isinstance(outcome, FailedJob):
+        return FleetRow(job.recording, job.folder, FleetState.FAILED, outcome.problem)
+    summary = outcome.summaries[0]
+    numbers: dict[str, Number] = {
+        "frames": summary.frames,
+        "laser_on": summary.laser_on,
+        "valid": summary.valid,
+        "offsets_sent": summary.offset_count.sent,
+        "offsets_wanted": summary.offset_count.wanted,
+    }
+    if summary.score is not None:
+        numbers["beyond_limit"] = summary.score.beyond_limit
+        numbers["y_rms_mm"] = summary.score.lateral.whole.rms
+        numbers["z_rms_mm"] = summary.score.vertical.whole.rms
+    state = FleetState.TAKEN_OVER if outcome.is_taken_over else FleetState.DONE
+    page = REPLAY_PAGE if job.options.pictures else ""
+    share = summary.valid / summary.laser_on if summary.laser_on else 0.0
+    return FleetRow(job.recording, job.folder, state, outcome.verdict.line, numbers, page, share)
 
 
 def check_bus(options: ReplayOptions) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
     BrokenExecutor,
@@ -29,6 +30,8 @@ ENDS_S = 10.0
 """Time that an interrupted process may take to close its files."""
 
 ENDED = "its process ended, for want of memory perhaps; try fewer --workers"
+
+LOST = "the cluster lost it: its workers died, or the scheduler did; say the same again with --resume"
 
 
 class RecordingJob(Protocol):
@@ -74,7 +77,14 @@ def at_once(
         try:
             yield future.result()
         except Exception as error:
-            yield FailedJob(futures[future], error)
+            yield FailedJob(futures[future], BrokenExecutor(LOST) if _is_lost(error) else error)
+
+
+def _is_lost(error: Exception) -> bool:
+    """Return True of the error that stands for work which a cluster lost."""
+    distributed = sys.modules.get("distributed")
+    is_killed = distributed is not None and isinstance(error, distributed.KilledWorker)
+    return is_killed or isinstance(error, CancelledError)
 
 
 def executor_of(workers: int, scheduler: str | None) -> AbstractContextManager[Executor]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from arctrack.cli.inputs import look_at_recordings
-from arctrack.cli.options import Scheduler, Workers
+from arctrack.cli.options import Fleet, Resume, Scheduler, Workers
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ def diagnose(
             help="Another recording of the same cell: how far the effects that were found close its gap.",
         ),
     ] = None,
+    resume: Resume = False,
+    fleet: Fleet = None,
     workers: Workers = 1,
     scheduler: Scheduler = None,
 ) -> None:
@@ -54,24 +56,37 @@ def diagnose(
     """
     if on is not None and len(recordings) > 1:
         raise ArctrackError("--on tries the effects of one recording: diagnose one at a time")
+    if resume and (apply or on is not None):
+        raise ArctrackError("--resume takes over reports alone: leave it out with --apply and --on")
     look_at_recordings(recordings if on is None else [*recordings, on], setup)
     from arctrack.cli import console
     from arctrack.cli.diagnose_text import print_many, print_one
-    from arctrack.diagnose.diagnose import DiagnosisResult, jobs_for
+    from arctrack.diagnose.diagnose import FLEET_COLUMNS, DiagnosisResult, fleet_row, jobs_for, summary_of
+    from arctrack.fleet import followed
     from arctrack.workers import FailedJob, check_choice
 
     if apply and setup is not None:
         raise ArctrackError("--apply writes into the recording's own recording.toml: leave --setup out")
     check_choice(workers, scheduler)
-    jobs = jobs_for(recordings, out, setup, without or ())
+    jobs = jobs_for(recordings, out, setup, without or (), resume)
     other = None if on is None else _other(jobs[0], on)
-    outcomes = sorted(_outcomes(jobs, workers, scheduler), key=lambda outcome: jobs.index(outcome.job))
-    done = [outcome for outcome in outcomes if isinstance(outcome, DiagnosisResult)]
+    outcomes = []
+    with followed(fleet, "diagnosis", len(jobs), FLEET_COLUMNS) as on_row:
+        for outcome in _outcomes(jobs, workers, scheduler):
+            on_row(fleet_row(outcome))
+            outcomes.append(outcome)
+    places = {job.folder: n for n, job in enumerate(jobs)}
+    outcomes.sort(key=lambda outcome: places[outcome.job.folder])
     failed = [outcome for outcome in outcomes if isinstance(outcome, FailedJob)]
-    if done:
-        (print_one if len(jobs) == 1 else print_many)(done)
-    complaints = [*(failure.problem for failure in failed), *(d.complaint for d in done if d.complaint)]
-    complaints += _add_effects(done, apply, other)
+    done = [outcome for outcome in outcomes if not isinstance(outcome, FailedJob)]
+    diagnosed = [outcome for outcome in done if isinstance(outcome, DiagnosisResult)]
+    if len(jobs) == len(diagnosed) == 1:
+        print_one(diagnosed)
+    elif done:
+        print_many(done)
+    told = [summary_of(outcome).complaint for outcome in done]
+    complaints = [*(failure.problem for failure in failed), *filter(None, told)]
+    complaints += _add_effects(diagnosed, apply, other)
     console.complain(complaints)
     for failure in failed:
         if not failure.foreseen:

@@ -7,8 +7,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from arctrack.cli import console
+from arctrack.cli.replay_table import TAKEN_OVER
 from arctrack.diagnose.applied_files import AppliedEffects
-from arctrack.diagnose.diagnose import DiagnosisResult
+from arctrack.diagnose.diagnose import DiagnosisResult, TakenOver, summary_of
 from arctrack.diagnose.diagnosis_files import ADDED_PAGE, REPORT_PAGE
 from arctrack.diagnose.pages import applied_page, cost_words, unknown_words, words
 from sim_to_real.diagnosis import Diagnosis, DiagnosisVerdict, RankedEffect
@@ -43,29 +44,33 @@ def print_applied(applied: AppliedEffects) -> None:
     console.say(f"{applied_page.counted(applied)} The picture is in {applied.folder / ADDED_PAGE}")
 
 
-def print_many(done: Sequence[DiagnosisResult]) -> None:
+def print_many(done: Sequence[DiagnosisResult | TakenOver]) -> None:
     """Print several diagnoses, a line each."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), caption_justify="left")
     table.add_column("recording", overflow="fold")
     table.add_column("verdict", no_wrap=True)
     for name in ("before σ", "after σ", "closed"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("effects", overflow="fold")
+    taken_over = sum(isinstance(diagnosed, TakenOver) for diagnosed in done)
+    if taken_over:
+        table.caption = f"{TAKEN_OVER}: taken over from an earlier run, {taken_over} of {len(done)}"
     for diagnosed in done:
-        console.warn(diagnosed.warnings)
-        diagnosis = diagnosed.diagnosis
+        summary = summary_of(diagnosed)
+        console.warn(summary.warnings)
+        mark = f" {TAKEN_OVER}" if isinstance(diagnosed, TakenOver) else ""
         table.add_row(
-            escape(diagnosed.job.name),
-            diagnosis.verdict.value,
-            words.number(diagnosis.gap.before),
-            words.number(diagnosis.gap.after),
-            words.percent(min(diagnosis.gap.closed, 1.0)),
-            _named(diagnosis),
+            escape(diagnosed.job.name) + mark,
+            summary.verdict,
+            words.number(summary.before),
+            words.number(summary.after),
+            words.percent(min(summary.closed, 1.0)),
+            summary.named,
         )
     screen = console.tables()
     screen.print(table)
     for diagnosed in done:
-        if withheld := words.withheld(diagnosed.diagnosis, diagnosed.job.without):
+        if withheld := summary_of(diagnosed).withheld:
             console.say(f"{diagnosed.job.name}: {withheld}")
         page = diagnosed.job.folder / REPORT_PAGE
         console.say(f"{diagnosed.job.name}: report in {page}")
@@ -73,12 +78,6 @@ def print_many(done: Sequence[DiagnosisResult]) -> None:
 
 def _seam(diagnosed: DiagnosisResult) -> str:
     return words.seam_sentence(diagnosed.diagnosis, diagnosed.setup.tolerance.seam_mm)
-
-
-def _named(diagnosis: Diagnosis) -> str:
-    if diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS:
-        return "; ".join(words.listed(ids, "or") for ids in diagnosis.ambiguous_with)
-    return ", ".join(effect.id for effect in diagnosis.effects)
 
 
 def _lines(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:

@@ -23,6 +23,21 @@ Scheduler = Annotated[
         help="A Dask cluster's scheduler, to work on recordings there; needs the extra cluster.",
     ),
 ]
+Fleet = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Write fleet.html, a page that follows the work, and fleet.parquet, a row a recording, into a "
+        "folder. Needs arctrack\\[parquet].",
+    ),
+]
+Resume = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Take over recordings that an earlier run finished, of the same files, options and version.",
+    ),
+]
 Poses = Annotated[Path | None, typer.Option(help="The robot's pose of each image: a table, or matrices.")]
 Rotation = Annotated[
     str | None,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +11,7 @@ import typer
 
 from arctrack.cli.inputs import look_at_cell, look_at_recordings
 from arctrack.cli.interrupt import interruptible
-from arctrack.cli.options import ArcMap, Scheduler, Workers
+from arctrack.cli.options import ArcMap, Fleet, Resume, Scheduler, Workers
 from arctrack.errors import ArctrackError
 
 if TYPE_CHECKING:
@@ -65,19 +65,14 @@ def replay(
     rrd: Annotated[
         bool, typer.Option("--rrd", help="Write replay.rrd too, for Rerun. Needs arctrack\\[rerun].")
     ] = False,
-    resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume",
-            help="Take over recordings that an earlier run finished, of the same files, options and version.",
-        ),
-    ] = False,
+    resume: Resume = False,
     parquet: Annotated[
         Path | None,
         typer.Option(
             help="Write the frames of all recordings into one Parquet file too. Needs arctrack\\[parquet]."
         ),
     ] = None,
+    fleet: Fleet = None,
     workers: Workers = 1,
     scheduler: Scheduler = None,
 ) -> None:
@@ -118,10 +113,24 @@ def replay(
     if scheduler is not None or at_once > 1:
         check_bus(options)
         jobs = jobs if scheduler is None else [job.absolute() for job in jobs]
-        outcomes = sorted(_at_once(jobs, at_once, scheduler), key=lambda outcome: jobs.index(outcome.job))
+        coming = _at_once(jobs, at_once, scheduler)
     else:
-        outcomes = list(_in_turn(jobs))
-    _report(outcomes, parquet)
+        coming = _in_turn(jobs)
+    _report(_all_of(coming, jobs, fleet), parquet)
+
+
+def _all_of(coming: Iterable[Outcome], jobs: list[ReplayJob], fleet: Path | None) -> list[Outcome]:
+    """Return what becomes of all recordings in their order, followed by a fleet's page as it comes."""
+    from arctrack.fleet import followed
+    from arctrack.replays import FLEET_COLUMNS, fleet_row
+
+    outcomes = []
+    with followed(fleet, "replay", len(jobs), FLEET_COLUMNS) as on_row:
+        for outcome in coming:
+            on_row(fleet_row(outcome))
+            outcomes.append(outcome)
+    places = {job.folder: n for n, job in enumerate(jobs)}
+    return sorted(outcomes, key=lambda outcome: places[outcome.job.folder])
 
 
 def _at_once(jobs: list[ReplayJob], workers: int, scheduler: str | None) -> Iterator[Outcome]:

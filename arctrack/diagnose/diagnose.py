@@ -1,5 +1,6 @@
 """Recordings diagnosed: read, compared with the model, written down; one at a time or many at once."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -9,8 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from arctrack import workers
-from arctrack.diagnose.diagnosis_files import ADDED_FILES, FILES, REPORT_PAGE, write_numbers
+from arctrack.diagnose.diagnosis_files import ADDED_FILES, FILES, MADE_FILES, REPORT_PAGE, write_numbers
+from arctrack.diagnose.pages import words
 from arctrack.errors import ArctrackError, in_file
+from arctrack.finished import FinishedRecord, digest_of, sizes
+from arctrack.fleet import FleetRow, FleetState, Number
 from arctrack.output import folders_for, make_folder, real, write_whole
 from arctrack.printable import printable
 from arctrack.recording import pose_at, read_recording, require_images
@@ -31,12 +35,16 @@ OnStage = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class DiagnosisJob:
-    """One recording to diagnose: folder of its files, another setup than its own, effects left out."""
+    """One recording to diagnose: folder of its files, another setup than its own, effects left out.
+
+    `resume` takes over what an earlier run of the same finished there.
+    """
 
     recording: Path
     folder: Path
     setup_path: Path | None = None
     without: tuple[str, ...] = ()
+    resume: bool = False
 
     @property
     def name(self) -> str:
@@ -60,7 +68,47 @@ class DiagnosisResult:
     complaint: str | None
 
 
-Outcome = DiagnosisResult | FailedJob[DiagnosisJob]
+@dataclass(frozen=True)
+class DiagnosisSummary:
+    """A diagnosis in a line of a table; NaN is not known.
+
+    `named` are its effects in words, `withheld` what the user left out. `confidence` is that of the first
+    effect, `p_value` that of the model.
+    """
+
+    verdict: str
+    named: str
+    before: float
+    after: float
+    closed: float
+    confidence: float
+    p_value: float
+    withheld: str
+    warnings: tuple[str, ...]
+    complaint: str | None
+
+
+class DiagnosisRecord(FinishedRecord):
+    """A finished diagnosis."""
+
+    summary: DiagnosisSummary
+
+
+@dataclass(frozen=True)
+class TakenOver:
+    """A recording whose diagnosis an earlier run has finished."""
+
+    job: DiagnosisJob
+    summary: DiagnosisSummary
+
+
+Outcome = DiagnosisResult | TakenOver | FailedJob[DiagnosisJob]
+
+FLEET_COLUMNS = {
+    **dict.fromkeys(("verdict", "effects"), "string"),
+    **dict.fromkeys(("confidence", "p_value", "gap_before", "gap_after", "gap_closed"), "float64"),
+}
+"""Numbers of a diagnosis in a fleet's table, and Arrow's names for their types."""
 
 
 def jobs_for(
@@ -68,6 +116,7 @@ def jobs_for(
     out: Path | None = None,
     setup_path: Path | None = None,
     without: Sequence[str] = (),
+    resume: bool = False,
 ) -> list[DiagnosisJob]:
     """Return the diagnoses to run; ArctrackError for an unknown effect and for folders that would be shared.
 
@@ -81,14 +130,15 @@ def jobs_for(
     where = None if out is None else out.absolute()
     folders = folders_for(paths, where, "diagnosis", "its diagnosis would replace another")
     return [
-        DiagnosisJob(path, folder, setup, tuple(without)) for path, folder in zip(paths, folders, strict=True)
+        DiagnosisJob(path, folder, setup, tuple(without), resume)
+        for path, folder in zip(paths, folders, strict=True)
     ]
 
 
 def diagnose_recording(
     job: DiagnosisJob, on_stage: OnStage | None = None, threads: int = THREADS
-) -> DiagnosisResult:
-    """Diagnose a recording and write report.json, where.npz, predicted.npz and report.html.
+) -> DiagnosisResult | TakenOver:
+    """Diagnose a recording and write report.json, where.npz, predicted.npz, report.html and finished.json.
 
     Frames are predicted on `threads` threads. Raises ArctrackError for what the user can mend.
     """
@@ -97,6 +147,11 @@ def diagnose_recording(
 
     recording = read_recording(job.recording, job.setup_path)
     require_images(recording.setup, recording.setup_path, "arctrack check asks a profiler's recording")
+    made_of = digest_of(recording, repr(job.without))
+    if job.resume:
+        earlier = DiagnosisRecord.read(job.folder, made_of, MADE_FILES, FILES)
+        if earlier is not None:
+            return TakenOver(job, earlier.summary)
     make_folder(job.folder, FILES + ADDED_FILES)
     frames, bad_frames = recording.readable_frames()
     poses = recording.pose_buffer()
@@ -115,7 +170,7 @@ def diagnose_recording(
     # Numbers first: whatever happens to the page, the work is not lost.
     write_numbers(result, job.folder, job.without)
     write_page(result, recording, job.without, job.folder / REPORT_PAGE)
-    return DiagnosisResult(
+    diagnosed = DiagnosisResult(
         job,
         recording.setup,
         len(frames),
@@ -123,6 +178,54 @@ def diagnose_recording(
         recording.warnings,
         recording.complaint(bad_frames, "the diagnosis is that of the others"),
     )
+    # Last of all: what is not there by then was not finished.
+    files = dict(sizes(job.folder, FILES))
+    DiagnosisRecord(made_of=made_of, files=files, summary=summary_of(diagnosed)).write(job.folder)
+    return diagnosed
+
+
+def summary_of(diagnosed: DiagnosisResult | TakenOver) -> DiagnosisSummary:
+    """Return a diagnosis in a line of a table."""
+    if isinstance(diagnosed, TakenOver):
+        return diagnosed.summary
+    diagnosis, gap = diagnosed.diagnosis, diagnosed.diagnosis.gap
+    return DiagnosisSummary(
+        verdict=diagnosis.verdict.value,
+        named=words.named(diagnosis),
+        before=gap.before,
+        after=gap.after,
+        closed=gap.closed,
+        confidence=diagnosis.effects[0].confidence if diagnosis.effects else math.nan,
+        p_value=diagnosis.model_test.p_value,
+        withheld=words.withheld(diagnosis, diagnosed.job.without),
+        warnings=diagnosed.warnings,
+        complaint=diagnosed.complaint,
+    )
+
+
+def fleet_row(outcome: Outcome) -> FleetRow:
+    """Return what came of a recording as a row of a fleet's table."""
+    job = outcome.job
+    if isinstance(outcome, FailedJob):
+        return FleetRow(job.recording, job.folder, FleetState.FAILED, outcome.problem)
+    summary = summary_of(outcome)
+    numbers: dict[str, Number] = {
+        "verdict": summary.verdict,
+        "effects": summary.named,
+        "confidence": summary.confidence,
+        "p_value": summary.p_value,
+        "gap_before": summary.before,
+        "gap_after": summary.after,
+        "gap_closed": summary.closed,
+    }
+    known = {name: value for name, value in numbers.items() if not _is_unknown(value)}
+    state = FleetState.TAKEN_OVER if isinstance(outcome, TakenOver) else FleetState.DONE
+    said = summary.complaint or ""
+    return FleetRow(job.recording, job.folder, state, said, known, REPORT_PAGE, summary.p_value)
+
+
+def _is_unknown(value: Number) -> bool:
+    return isinstance(value, float) and math.isnan(value)
 
 
 def in_turn(jobs: Iterable[DiagnosisJob], on_stage: Callable[[DiagnosisJob], OnStage]) -> Iterator[Outcome]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from arctrack.diagnose.pages import unknown_words
 from arctrack.output import write_whole, writing
+from arctrack.recording.results import FINISHED_JSON
 from sim_to_real.diagnosis import (
     Diagnosis,
     EffectCost,
@@ -25,8 +26,9 @@ from sim_to_real.diagnosis import (
 
 REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ = "report.json", "where.npz", "predicted.npz"
 REPORT_PAGE = "report.html"
-FILES = (REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ, REPORT_PAGE)
-"""Every file that a diagnosis writes."""
+MADE_FILES = (REPORT_JSON, WHERE_NPZ, PREDICTED_NPZ, REPORT_PAGE)
+FILES = (*MADE_FILES, FINISHED_JSON)
+"""Every file that a diagnosis writes, the last one when all others are whole."""
 
 ADDED_JSON, ADDED_NPZ, ADDED_PAGE = "applied.json", "applied.npz", "applied.html"
 ADDED_FILES = (ADDED_JSON, ADDED_NPZ, ADDED_PAGE)

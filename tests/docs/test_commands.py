@@ -32,6 +32,7 @@ PARSED_ONLY = {
     r"python -m validation.fault_schedules --count \d{3,} ": "takes minutes; tests/validation runs each",
     r".*\b(monday|tuesday)\b": "names the reader's own recordings",
     r".*\bsocketcan:": "needs CAN hardware",
+    r"dask ": "serves until it is ended; tests/arctrack/test_fleet.py has a cluster",
     r"arctrack cell serve ": "needs a bus that processes share; simulation/cell/test_live.py runs one",
     r"(\.venv/bin/)?arctrack serve ": "runs until it is ended; tests of live/serve run it beside a cell",
     r"python -m validation.figures effects ": "takes a minute; test_effects_page.py draws each",

@@ -161,6 +161,13 @@ def how_far(diagnosis: Diagnosis) -> str:
     return f"{lead}."
 
 
+def named(diagnosis: Diagnosis) -> str:
+    """Return the effects of a verdict in a row, or those of a set that may be it."""
+    if diagnosis.verdict is DiagnosisVerdict.AMBIGUOUS:
+        return "; ".join(listed(ids, "or") for ids in diagnosis.ambiguous_with)
+    return ", ".join(effect.id for effect in diagnosis.effects)
+
+
 def withheld(diagnosis: Diagnosis, without: Sequence[str]) -> str:
     """Return that the user left effects out of the search, and which share of the gap stays; or nothing."""
     if not without:
