@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 import arctrack
@@ -95,3 +96,17 @@ def test_a_folder_that_cannot_be_is_one_line_and_exit_code_2(tmp_path: Path) -> 
     assert done.returncode == 2
     assert done.stderr.startswith(f"arctrack: error: {file}: cannot be written")
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_the_animation_shows_a_frame_a_quarter_of_a_second(
+    compiled: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("validation.figures.animation.FRAMES", 3)
+    result = RUNNER.invoke(figures, ["animation", "--out", str(tmp_path / "made")])
+    assert result.exit_code == 0, result.output
+    with Image.open(tmp_path / "made" / "replay.webp") as picture:
+        assert (picture.n_frames, picture.width) == (3, 480)
+        picture.seek(2)
+        picture.load()
+        assert picture.info["duration"] == 250

@@ -78,6 +78,21 @@ def joints(
     typer.echo(f"{out / 'joints.svg'}")
 
 
+@figures.command(epilog="Example: python -m validation.figures animation --out docs/tutorial/pictures")
+def animation(
+    out: Annotated[Path, typer.Option(help="Folder for replay.webp; made if missing.")],
+) -> None:
+    """Replay a simulated weld whose arc burns, half a minute of it: replay.webp."""
+    from validation.figures.animation import write_animation
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_animation(out / "replay.webp")
+    except OSError as error:
+        raise in_file(out, f"cannot be written: {error}") from None
+    typer.echo(f"{out / 'replay.webp'}")
+
+
 reflow(figures)
 
 if __name__ == "__main__":
