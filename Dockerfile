@@ -40,5 +40,8 @@ RUN useradd --create-home --groups video,dialout arctrack \
 ENV PATH=/opt/arctrack/bin:$PATH MPLCONFIGDIR=/tmp/matplotlib
 USER arctrack
 WORKDIR /data
+# Of a live run: its page says whether the loop steps. A replay ends by itself.
+HEALTHCHECK --interval=10s --start-period=60s \
+    CMD ["python3", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8765/health', timeout=5)"]
 ENTRYPOINT ["arctrack"]
 CMD ["--help"]

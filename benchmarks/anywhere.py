@@ -32,11 +32,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from random_scene import ARCS, JOINTS, PATHS, draw_scene, frames_of, joint_of
 from scene_bound import SeamBound, seam_bound
 
 from noise_model.compiled.arrays import Float64
 from tracker.tracker import Tracker
+from validation.anywhere.random_scene import ARCS, JOINTS, PATHS, draw_scene, frames_of, joint_of
 
 FALSE_SIGMAS, FALSE_MM = 5.0, 0.25
 RIGHT_MM, OVER_BOUND, TELLING_MM = 0.03, 1.3, 0.1

@@ -19,8 +19,6 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from random_scene import Scene, draw_scene, world_of
-from swept_world import SweptWorld
 
 from arctrack.replay.arc_height import ArcDeparture, ArcHeight, ArcHeightEstimator
 from noise_model.arc.map import arc_kernel
@@ -33,6 +31,8 @@ from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose
 from tracker.stripe.read import arc_map_of
 from tracker.tracker import Tracker
+from validation.anywhere.random_scene import RandomScene, draw_scene, world_of
+from validation.anywhere.swept_world import SweptWorld
 
 SWITCHES = 1 / 50
 """Share of the frames in which the arc goes on or off."""
@@ -42,7 +42,7 @@ EVENTS = flags.ARC_IGNITED.mask | flags.ARC_LOST.mask
 WRONG_WORD = flags.ARC_NOT_SEEN.mask | flags.ARC_UNANNOUNCED.mask
 
 
-def scenes(seed: int, n: int, n_frames: int, arc: str) -> Iterator[Scene]:
+def scenes(seed: int, n: int, n_frames: int, arc: str) -> Iterator[RandomScene]:
     """Yield scenes that the setup's checks let pass."""
     while n > 0:
         scene = draw_scene(seed, n_frames, arc)

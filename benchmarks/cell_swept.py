@@ -11,9 +11,6 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from swept_joint import SweptJoint
-from swept_light import Surroundings
-from swept_world import Speckle, SweptWorld
 
 from arctrack.nominal import DIMENSIONS
 from arctrack.simulation.cell.cell import Shown
@@ -23,6 +20,9 @@ from noise_model.plan.noise import expected_speckle
 from noise_model.surface.joint import seam_frame
 from noise_model.transforms import invert
 from robot_io import Switch
+from validation.anywhere.swept_joint import SweptJoint
+from validation.anywhere.swept_light import SceneSurroundings
+from validation.anywhere.swept_world import SpeckleField, SweptWorld
 
 
 class SweptCamera(RenderedCamera):
@@ -34,8 +34,8 @@ class SweptCamera(RenderedCamera):
         self._swept = SweptWorld(
             self.true_setup,
             SweptJoint.of(self.true_setup.joint, 0.0, 1000.0, 0.0),
-            Speckle(speckle["contrast"], speckle["grain_px"]),
-            Surroundings(),
+            SpeckleField(speckle["contrast"], speckle["grain_px"]),
+            SceneSurroundings(),
         )
 
     def look(self) -> Shown:

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from latency_cases import BOTH_ON, Case, speckled
 from latency_worker import CURRENT_A, EXPOSURE_S, PERIOD_S
-from stripe_peers import PEERS, steger
 
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64, Integers
@@ -28,6 +27,7 @@ from tracker.stripe.band import FIT_SIGMAS
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.smooth import smoothed
 from tracker.tracker import Tracker
+from validation.bench.stripe_peers import PEERS, steger
 
 FRAMES = 64
 """So many frames of one pose are read, and averaged at most."""

@@ -25,14 +25,14 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from random_scene import Scene, world_of
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
-from swept_joint import SweptJoint, outline
-from swept_light import with_ghost
-from swept_world import Speckle, SweptWorld
 
 from noise_model.compiled.arrays import Float64, Int64
+from validation.anywhere.random_scene import RandomScene, world_of
+from validation.anywhere.swept_joint import SweptJoint, outline
+from validation.anywhere.swept_light import with_ghost
+from validation.anywhere.swept_world import SpeckleField, SweptWorld
 
 MOVED_MM, MOVED_DEG = 0.05, 0.5
 """How far the joint is moved, or a dimension changed, to either side for a derivative."""
@@ -57,7 +57,7 @@ class SeamBound(NamedTuple):
     least_squares_mm: Float64
 
 
-def seam_bound(scene: Scene, n: int) -> SeamBound:
+def seam_bound(scene: RandomScene, n: int) -> SeamBound:
     """Return how well a frame of a scene shows its seam point."""
     T, sensor = scene.poses[n], scene.setup.sensor
     world = world_of(scene)
@@ -87,7 +87,7 @@ def seam_bound(scene: Scene, n: int) -> SeamBound:
     return SeamBound(*(np.sqrt(np.diagonal(squares)[:2]) for squares in (bound, scatter)))
 
 
-def _light(scene: Scene, world: SweptWorld, joint: SweptJoint, T: Float64) -> tuple[Float64, Float64]:
+def _light(scene: RandomScene, world: SweptWorld, joint: SweptJoint, T: Float64) -> tuple[Float64, Float64]:
     """Return what the rest and what the stripe, with its ghost, sends to the pixels (H, W), e-."""
     changed = copy(world)
     changed.joint = joint
@@ -96,7 +96,7 @@ def _light(scene: Scene, world: SweptWorld, joint: SweptJoint, T: Float64) -> tu
     return background, stripe if ghost is None else with_ghost(stripe, ghost)
 
 
-def _changes(scene: Scene, T: Float64) -> Iterator[tuple[Change, float, float]]:
+def _changes(scene: RandomScene, T: Float64) -> Iterator[tuple[Change, float, float]]:
     """Yield what may be off, the step of its derivative and its prior 1 sigma; y and z of the seam first."""
 
     def moved(axis: int, by_mm: float) -> tuple[SweptJoint, Float64]:
@@ -131,7 +131,9 @@ def _changes(scene: Scene, T: Float64) -> Iterator[tuple[Change, float, float]]:
         yield partial(resized, name), step, sigma
 
 
-def _covariance(rows: Int64, columns: Int64, variance: Float64, stripe: Float64, speckle: Speckle) -> Float64:
+def _covariance(
+    rows: Int64, columns: Int64, variance: Float64, stripe: Float64, speckle: SpeckleField
+) -> Float64:
     """Return the covariance of pixels (n,), its diagonals from the main one down."""
     n, reach = len(rows), 2 * GRAIN_REACH_PX
     index = np.full(np.array([rows.max(), columns.max()]) + 1 + 2 * reach, -1)

@@ -17,7 +17,6 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from stripe_peers import PEERS
 
 from arctrack.nominal import nominal_setup
 from noise_model.arc.scene import make_scene
@@ -31,6 +30,7 @@ from tracker.state import Frame, Pose, Stripe
 from tracker.stripe.expected import ExpectedStripe, expect_stripe
 from tracker.stripe.smooth import smoothed
 from tracker.tracker import Tracker
+from validation.bench.stripe_peers import PEERS
 
 STRIPES_E, ARCS, WIDTHS_PX = (500.0, 1500.0, 4500.0), (0.0, 1.0, 3.0), (3.5, 7.0)
 """The stripe's peak on the plate, the arc's light there over it, the stripe's sigma."""

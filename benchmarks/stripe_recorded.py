@@ -25,13 +25,13 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import convolve1d, median_filter
-from stripe_peers import centroid, ridge, steger
 
 import arctrack
 from noise_model.compiled.arrays import Float64, Integers
 from tracker.state import Frame, Pose
 from tracker.stripe.expected import expect_stripe
 from tracker.tracker import Tracker
+from validation.bench.stripe_peers import centroid, ridge, steger
 
 MEDIAN_LINES = 31
 GROSS_SIGMAS, APART_SIGMAS = 2.0, 4.0

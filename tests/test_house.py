@@ -101,6 +101,8 @@ FOLDERS_MAY_IMPORT: dict[str, dict[str, set[str]]] = {
         },
     },
     "validation": {
+        "anywhere": set(),
+        "bench": {"anywhere"},
         "second_renderer": set(),
         "blind_check": {"second_renderer"},
         "fault_schedules": set(),

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
 import sys
+import threading
 import tomllib
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+import yaml
 from test_house import MAY_IMPORT
 
+from arctrack.cli import app
+from arctrack.control.cell_file.choices import MonitorChoice
 from noise_model.compiled.target import CPU_NAMES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -79,4 +85,58 @@ def test_the_image_has_debians_aravis_and_runs_without_rights() -> None:
     assert steps("FROM")[-1] == "debian:12-slim", "whose Python 3.11 is the one of python3-gi"
     user = steps("USER")[-1]
     assert f"useradd --create-home --groups video,dialout {user}" in runtime[1]
-    assert [instruction for instruction, _ in STEPS][-4:] == ["USER", "WORKDIR", "ENTRYPOINT", "CMD"]
+    last = [instruction for instruction, _ in STEPS][-5:]
+    assert last == ["USER", "WORKDIR", "HEALTHCHECK", "ENTRYPOINT", "CMD"]
+
+
+class Health(BaseHTTPRequestHandler):
+    """A page that says what it is told to."""
+
+    status = 200
+
+    def do_GET(self) -> None:
+        self.send_response(self.status if self.path == "/health" else 404)
+        self.end_headers()
+
+    def log_message(self, *args: object) -> None:
+        """Say nothing."""
+
+
+@pytest.mark.parametrize(("status", "code"), [(200, 0), (503, 1)])
+def test_the_image_is_healthy_while_the_page_says_so(
+    status: int, code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (check,) = steps("HEALTHCHECK")
+    python, *words = json.loads(check[check.index("[") :])
+    assert python == "python3"
+    assert f":{MonitorChoice().port}/health" in words[-1]
+    monkeypatch.setattr(Health, "status", status)
+    with HTTPServer(("127.0.0.1", 0), Health) as page:
+        answering = threading.Thread(target=page.handle_request)
+        answering.start()
+        words[-1] = words[-1].replace(f":{MonitorChoice().port}", f":{page.server_port}")
+        asked = subprocess.run([sys.executable, *words], stderr=subprocess.DEVNULL, check=False)
+        answering.join()
+    assert asked.returncode == code
+
+
+def test_compose_runs_a_simulated_cell_of_the_image() -> None:
+    (cell,) = yaml.safe_load((ROOT / "compose.yaml").read_text())["services"].values()
+    assert (ROOT / cell["build"] / "Dockerfile").exists()
+    with pytest.raises(SystemExit) as ended:
+        app([*cell["command"], "--help"])
+    assert ended.value.code == 0
+    # A page that others reach needs a token.
+    assert cell["network_mode"] == "host"
+
+
+def test_the_bill_of_materials_is_of_the_lock(tmp_path: Path) -> None:
+    if shutil.which("cyclonedx-py") is None:
+        pytest.skip("cyclonedx-bom is not installed")
+    subprocess.run([ROOT / ".ci/sbom", tmp_path / "sbom.json"], check=True, stderr=subprocess.DEVNULL)
+    bill = json.loads((tmp_path / "sbom.json").read_text())
+    lock = (ROOT / "requirements.lock").read_text()
+    pinned = set(re.findall(r"^([\w.-]+)==([^\s;]+)", lock, re.MULTILINE))
+    assert {(each["name"], each["version"]) for each in bill["components"]} == pinned
+    for each in bill["components"]:
+        assert any(reference.get("hashes") for reference in each["externalReferences"])

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,18 +18,15 @@ from tracker.arc.level import Unlit, estimate_arc_level
 from tracker.geometry import SensorGeometry
 from tracker.state import Frame, Pose, Track
 from tracker.tracker import Tracker
-
-sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
-
-from swept_joint import SweptJoint
-from swept_light import Look, Surroundings
-from swept_welding import Welding
-from swept_world import Speckle, SweptWorld
+from validation.anywhere.swept_joint import SweptJoint
+from validation.anywhere.swept_light import Look, SceneSurroundings
+from validation.anywhere.swept_welding import Welding
+from validation.anywhere.swept_world import SpeckleField, SweptWorld
 
 OF_ARC = tuple(
     flag.name for flag in (flags.ARC_IGNITED, flags.ARC_LOST, flags.ARC_NOT_SEEN, flags.ARC_UNANNOUNCED)
 )
-HALL = Surroundings(hall_e=700.0, look=Look(0.2, 1.0, 1))
+HALL = SceneSurroundings(hall_e=700.0, look=Look(0.2, 1.0, 1))
 WELDING = replace(HALL, welding=Welding(20.0, 0.3, 1.0, 30.0, 0.1))
 
 
@@ -41,11 +36,11 @@ def setup() -> Setup:
 
 
 @cache
-def image(around: Surroundings, level: float, index: int, laser_on: bool = True) -> np.ndarray:
+def image(around: SceneSurroundings, level: float, index: int, laser_on: bool = True) -> np.ndarray:
     """A frame (H, W), DN, of the world; `level` is the arc's over the stated one."""
     arc = replace(setup().arc, radiance_e=level * setup().arc.radiance_e)
     joint = SweptJoint.of(setup().joint, 0.0, 100.0, 0.0)
-    world = SweptWorld(replace(setup(), arc=arc), joint, Speckle(0.3, 0.7), around)
+    world = SweptWorld(replace(setup(), arc=arc), joint, SpeckleField(0.3, 0.7), around)
     return world.frame(pose(index).T_base_tool, laser_on, level > 0.0, np.random.default_rng(index))
 
 
@@ -55,7 +50,9 @@ def pose(index: int) -> Pose:
     return Pose(T_base_tool)
 
 
-def tracked(around: Surroundings, shots: Sequence[tuple[float, bool]], laser_on: bool = True) -> list[Track]:
+def tracked(
+    around: SceneSurroundings, shots: Sequence[tuple[float, bool]], laser_on: bool = True
+) -> list[Track]:
     """The tracks of frames in a row, each with the arc's level in it and what is said of the arc."""
     tracker = Tracker(setup())
     light = EXPOSURE_S, CURRENT_A, laser_on
@@ -69,8 +66,8 @@ def of_arc(track: Track) -> list[str]:
     return [name for name in track.flag_names if name in OF_ARC]
 
 
-@pytest.mark.parametrize("around", [Surroundings(), HALL, WELDING], ids=["clean", "hall", "welding"])
-def test_an_event_is_flagged_in_its_frame(around: Surroundings) -> None:
+@pytest.mark.parametrize("around", [SceneSurroundings(), HALL, WELDING], ids=["clean", "hall", "welding"])
+def test_an_event_is_flagged_in_its_frame(around: SceneSurroundings) -> None:
     """An arc that ignites, burns on, and goes out while it is said to burn."""
     shots = [(0.0, False), (0.0, False), (1.0, True), (0.7, True), (0.0, True), (0.0, True)]
     found = [of_arc(track) for track in tracked(around, shots)]
@@ -108,7 +105,7 @@ def test_the_level_and_its_sigma(level: float) -> None:
 
 def test_a_frame_that_is_all_hall_is_left_open() -> None:
     """Its light varies more over the image than a tenth of the arc's does."""
-    bright = Surroundings(hall_e=2e4, look=Look(0.3, 3.0, 1))
+    bright = SceneSurroundings(hall_e=2e4, look=Look(0.3, 3.0, 1))
     for track in tracked(bright, [(0.0, False), (0.0, True)]):
         assert of_arc(track) == []
 

@@ -35,7 +35,8 @@ def write_animation(path: Path) -> None:
 
 
 def _frames(video: Path) -> list[Image.Image]:
-    read, frames = cv2.VideoCapture(str(video)), []
+    read = cv2.VideoCapture(str(video))
+    frames: list[Image.Image] = []
     while True:
         is_read, image = read.read()
         if not is_read:

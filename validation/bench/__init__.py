@@ -1,0 +1,1 @@
+"""A benchmark of methods that read a stripe or find a seam, theirs and ours."""
