@@ -13,8 +13,10 @@ from typing import TypeAlias
 
 import numpy as np
 
+from noise_model.calibration_errors import POSE
 from noise_model.compiled.arrays import Float64
 from noise_model.effects import REGISTRY, Effects, Stage
+from noise_model.fit import within_bounds
 from sim_to_real.evidence.coordinates import IN_EACH_FRAME
 from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, SizeColumns
 from sim_to_real.evidence.evidence_table import EvidenceTable
@@ -23,7 +25,7 @@ from sim_to_real.evidence.looks import Looks, PairLook
 from sim_to_real.evidence.policy import Policy
 from sim_to_real.fit.gauss_newton import FLICKER, LEVEL_SIGMA, Refit, refit, refit_at
 from sim_to_real.fit.linearized_model import INTERREFLECTION, LinearizedModel
-from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE
+from sim_to_real.fit.nuisances import BIASED_MEAN_SQUARE, N_LEVELS, SEAM_FROM
 from sim_to_real.fit.trend import MIN_DRIVER_RANGE, TREND_EFFECTS, Driver, Trend, trend_among
 from sim_to_real.search.score_test import EXPENSIVE, ScoreTest
 
@@ -44,6 +46,14 @@ MOVING = tuple(name for name, effect in REGISTRY.items() if effect.stage in (Sta
 
 A linear look predicts little of a stripe that lies elsewhere.
 """
+
+HAND_EYE = "hand_eye"
+"""The effect that moves the camera, as the nuisances of its pose do."""
+
+CLEAR_SIGMAS = 3.0
+"""A motion that leaves the tolerance's bounds by so many of its own sigmas is more than that."""
+
+POSE_NUISANCES = slice(N_LEVELS, SEAM_FROM)
 
 STARTS_OF_STAND_INS: Mapping[str, Sequence[Effects]] = {
     FLICKER: ({FLICKER: REGISTRY[FLICKER].neutral},),
@@ -342,6 +352,32 @@ class HypothesisSearch:
         alone = [single for pair in settled[:1] for single in self._alone(pair, singles)]
         return [*settled, *self._settled(alone, max(rival, best.evidence))]
 
+    def within_tolerance(self, every: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return the likely hypotheses of a camera that moved without that, where its tolerance allows it.
+
+        The camera's pose is a nuisance as well, and a fit of the nuisances alone may end beside their best
+        values. They take over the motion that was found, and are fitted anew from there.
+        """
+        if not every:
+            return []
+        best, fitted = max(map(_evidence, every)), []
+        for hypothesis in every:
+            fit = hypothesis.refit
+            if HAND_EYE not in fit.ids or hypothesis.evidence < best - self._nats_possible:
+                continue
+            moved = fit.nuisance.copy()
+            moved[POSE_NUISANCES] += [fit.effects[HAND_EYE][name] for name in POSE]
+            nuisance = within_bounds(self.model.nuisances, moved)
+            sigmas = np.array([fit.sigmas[HAND_EYE][name] for name in POSE])
+            if np.any(np.abs(nuisance - moved)[POSE_NUISANCES] > CLEAR_SIGMAS * sigmas):
+                continue
+            others = {name: values for name, values in fit.effects.items() if name != HAND_EYE}
+            trend = trend_among(fit.trend, others)
+            there = self.model.anchored_at(nuisance, others, trend)
+            anew = refit(there, others, nuisance, trend=trend, loss_about=self.errors.loss.about)
+            fitted.append(self.settled(self.hypothesis(anew)))
+        return fitted
+
     def _flicker_with(self, best: Hypothesis, needed: float) -> list[PairLook]:
         """Return a flickering arc added to an effect, where a first look says that it gains enough, nats."""
         if not self._may_flicker or FLICKER in best.ids:
@@ -372,6 +408,16 @@ class HypothesisSearch:
             for name, values in pair.refit.effects.items()
             if name not in known and pair.fewer[frozenset({name})] - self.looks.none >= needed
         ]
+
+
+def best_of_each(every: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the likeliest of several fits of the same effects, in the order of their first ones."""
+    best: dict[tuple[frozenset[str], object], Hypothesis] = {}
+    for hypothesis in every:
+        trend = hypothesis.refit.trend
+        key = frozenset(hypothesis.ids), None if trend is None else (trend.effect, trend.driver)
+        best[key] = max(best.get(key, hypothesis), hypothesis, key=_evidence)
+    return list(best.values())
 
 
 def likeliest(term_evidence: Sequence[TermEvidence]) -> dict[Term, float]:

@@ -15,7 +15,7 @@ from sim_to_real.diagnosis import DiagnosisVerdict, ParameterEstimate
 from sim_to_real.evidence.confidence import closed_in_bins, need_probability
 from sim_to_real.evidence.error_model import ErrorModel, LinearHypothesis, compared_bins
 from sim_to_real.evidence.hypotheses import Hypothesis, Posterior
-from sim_to_real.evidence.hypothesis_search import HypothesisSearch
+from sim_to_real.evidence.hypothesis_search import HypothesisSearch, best_of_each
 from sim_to_real.evidence.policy import POLICY, Policy
 from sim_to_real.fit.covariates import Covariates
 from sim_to_real.fit.gauss_newton import Refit, refit
@@ -155,8 +155,10 @@ def weigh(
     # The fits may have come to nuisances about which no gap or an unknown cause is likelier.
     term_evidence += [search.free_term_evidence(single) for single in singles[:1]]
     unknown = search.unknown(term_evidence)
-    every = search.compared([*singles, *search.pairs(singles, unknown.evidence)])
-    none = search.none(without_effects[0], [*without_effects[1:], *every])
+    fitted = [*singles, *search.pairs(singles, unknown.evidence)]
+    of_tolerance = search.within_tolerance(fitted)
+    every = search.compared(best_of_each([*fitted, *(h for h in of_tolerance if h.ids)]))
+    none = search.none(without_effects[0], [*without_effects[1:], *of_tolerance, *every])
     unknown = search.unknown([*term_evidence, search.free_term_evidence(none)])
     posterior = Posterior.of(none, every, unknown, len(scores), policy)
     some = search.likely_in_full(posterior)

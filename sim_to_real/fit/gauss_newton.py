@@ -20,6 +20,9 @@ from sim_to_real.fit.trend import Trend
 MAX_ITERATIONS = 8
 """Steps at most."""
 
+MAX_RENDERINGS = 5
+"""Renderings of a fit's light anew at most, until it stays."""
+
 START_DAMPING, MIN_DAMPING, MAX_DAMPING, DAMPING_FACTOR = 1e-3, 1e-6, 1e3, 0.1
 """The damping's start and bounds, and its factor after a step that helps; else it is divided by it."""
 
@@ -192,10 +195,10 @@ def refit_at(
 
 def converge(model: LinearizedModel, fitted: Refit) -> Refit:
     """Return a fit after light and tangents have been rendered again at its result, until it stays."""
-    for _ in range(3):
+    for _ in range(MAX_RENDERINGS):
         again = refit_at(model, fitted)
-        # Another rendering must lower the mean square by a tenth.
-        if again.mean_square > 0.9 * fitted.mean_square:
+        # Bins are thousands: a hundredth of their mean square is tens of nats.
+        if again.mean_square > 0.99 * fitted.mean_square:
             return min(again, fitted, key=lambda fit: fit.mean_square)
         fitted = again
     return fitted
