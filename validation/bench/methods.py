@@ -16,8 +16,9 @@ from arctrack.errors import ArctrackError
 from noise_model.compiled.arrays import Float64, Integers
 from noise_model.setup import Setup
 from noise_model.transforms import transform
+from tracker.state import Frame, Pose
 from tracker.tracker import Tracker
-from validation.bench.scenes import BenchScene, TruthFrame
+from validation.bench.scenes import BenchScene
 
 NOTHING_MM = np.full(3, math.nan)
 
@@ -44,8 +45,8 @@ class Method(Protocol):
     def begin(self, scene: BenchScene) -> None:
         """Get ready for a scene; of its truth a method may take the first frame's seam, and say so."""
 
-    def read(self, image: Integers, given: TruthFrame) -> MethodReading:
-        """Read a frame. Its image's stripe runs from left to right: a scan line is a column."""
+    def read(self, image: Integers, frame: Frame, pose: Pose) -> MethodReading:
+        """Read a frame. The stripe in `image` runs from left to right: a scan line is a column."""
 
 
 StripeReader = Callable[[Integers, float], Float64]
@@ -71,7 +72,7 @@ class FromStripe:
         """Take the stripe's width, and the setup to triangulate with."""
         self._scene = scene
 
-    def read(self, image: Integers, given: TruthFrame) -> MethodReading:
+    def read(self, image: Integers, frame: Frame, pose: Pose) -> MethodReading:
         """Read the stripe, and the corner of it."""
         rows = self._reader(image, self._scene.width_px)
         is_corner = self._scene.setup.joint.type in CORNERS
@@ -117,9 +118,9 @@ class Arctrack:
         """Build the tracker of the scene's setup."""
         self._tracker = Tracker(scene.setup, use_arc_map=self._use_arc_map)
 
-    def read(self, image: Integers, given: TruthFrame) -> MethodReading:
+    def read(self, image: Integers, frame: Frame, pose: Pose) -> MethodReading:
         """Track the frame."""
-        track = self._tracker.step(given.frame, given.pose)
+        track = self._tracker.step(frame, pose)
         stripe, sigma = track.stripe, np.array([track.sigma_y_mm, track.sigma_z_mm])
         return MethodReading(
             None if stripe is None else stripe.position_px,
@@ -152,7 +153,7 @@ class PatchTracker:
         self._half = max(round(self.PATCH_SIGMAS * scene.width_px), 8)
         self._is_started = False
 
-    def read(self, image: Integers, given: TruthFrame) -> MethodReading:
+    def read(self, image: Integers, frame: Frame, pose: Pose) -> MethodReading:
         """Follow the patch into the frame."""
         if not np.isfinite(self._start).all():
             return MethodReading()

@@ -71,7 +71,7 @@ def scored(method: Method, scene: BenchScene, needs_start: bool = False) -> list
     for n, given in enumerate(scene.frames):
         image = scene.upright(given.frame)
         began_s = time.thread_time()
-        reading = method.read(image, given)
+        reading = method.read(image, given.frame, given.pose)
         took_s = time.thread_time() - began_s
         began_s = time.thread_time()
         steger(image, scene.width_px)
