@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import statistics
 import subprocess
 import threading
 import time
@@ -23,12 +24,18 @@ from arctrack.live.cameras.shared_frames import SharedFramesReader
 from arctrack.live.serve.simulated import GROUP, INTERFACE, SimulatedCell, write_simulated_cell
 from arctrack.recording import read_setup_file
 from noise_model.instrument.profiler import Profiler
+from robot_io import SeamOffset
 
 ENDS_S, SILENT_S = 2.0, 4.0
 """Time after which a stalled stream's last profile is too old, twice the gate's limit, and of the stall."""
 
 SURE = 0.99
 """Confidence of an offset: the probability that it errs by less than the setup's tolerance of the seam."""
+
+
+def sure(ear: Ear) -> list[SeamOffset]:
+    """Return the valid offsets that the tracker is sure of."""
+    return [offset for offset in ear.valid() if offset.confidence >= SURE]
 
 
 class Sender:
@@ -101,10 +108,11 @@ def test_a_robot_follows_profiles_over_tcp_and_gets_nothing_of_a_stalled_stream(
         try:
             ear.listen(lambda: len(ear.valid()) >= 20)
             ear.listen(ear.is_usable)
-            # A busy machine drops profiles, and the fit along the seam settles later: as its confidence says.
-            ear.listen(lambda: ear.valid()[-1].confidence >= SURE)
-            seam_mm = setup.tolerance.seam_mm
-            assert ear.valid()[-1].offset_y_mm == pytest.approx(plan.displaced_mm, abs=seam_mm)
+            # A busy machine drops profiles, so that the fit settles later, as its confidence says. It delays
+            # poses, too: of a robot that weaves a single offset is then off by more than its sigma.
+            ear.listen(lambda: len(sure(ear)) >= 20)
+            displaced_mm = statistics.median(offset.offset_y_mm for offset in sure(ear)[-20:])
+            assert displaced_mm == pytest.approx(plan.displaced_mm, abs=setup.tolerance.seam_mm)
 
             sender.is_held, held_s = True, time.monotonic()
             ear.listen(lambda: time.monotonic() > held_s + ENDS_S)
