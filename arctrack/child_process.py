@@ -155,7 +155,10 @@ class WorkerProcess(ChildProcess, Generic[Question, Answer]):
     def interrupt(self) -> None:
         """Raise KeyboardInterrupt in it, which ends it."""
         # Before it is ready it holds nothing that would be lost.
-        self._process.send_signal(signal.SIGINT if self._is_ready else signal.SIGKILL)
+        if self._is_ready:
+            self._process.send_signal(signal.SIGINT)
+        else:
+            self._process.kill()
 
 
 def answered(

@@ -13,6 +13,13 @@ ENDING: tuple[signal.Signals, ...] = tuple(
 )
 """Signals that end a run: Ctrl-C, the end of a service, a terminal that is closed."""
 
+SAVING = {
+    getattr(signal, name): why
+    for name, why in (("SIGUSR1", "asked by SIGUSR1"), ("SIGHUP", "terminal closed"))
+    if hasattr(signal, name)
+}
+"""Signals on which a run saves its black box, and why."""
+
 PARENTS: tuple[signal.Signals, ...] = ENDING + tuple(
     getattr(signal, name) for name in ("SIGQUIT", "SIGUSR1") if hasattr(signal, name)
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import (
@@ -22,6 +21,7 @@ from typing import Any, Generic, Protocol, TypeVar, cast
 
 from arctrack.child_process import WorkerProcess
 from arctrack.errors import ArctrackError, as_line
+from arctrack.system import STARTS_CHILDREN, processors
 
 CONNECT_S = 10.0
 """Time-out of a cluster's scheduler."""
@@ -93,19 +93,21 @@ def executor_of(workers: int, scheduler: str | None) -> AbstractContextManager[E
 
 
 def check_choice(workers: int, scheduler: str | None) -> None:
-    """Raise ArctrackError where both processes and a cluster are requested."""
+    """Raise ArctrackError where both processes and a cluster are requested, or processes that cannot be."""
     if scheduler is not None and workers > 1:
         raise ArctrackError("--workers and --scheduler: take one of them")
+    if workers > 1 and not STARTS_CHILDREN:
+        raise ArctrackError(f"--workers {workers}: this system takes one recording at a time; leave it out")
 
 
 def cores_each(workers: int, scheduler: str | None) -> int:
     """Return the number of this process's cores for each of `workers` recordings at once.
 
-    One on a cluster, whose machines this one does not know.
+    One on a cluster, whose machines this one does not know, and where no process can use another core.
     """
-    if scheduler is not None:
+    if scheduler is not None or not STARTS_CHILDREN:
         return 1
-    return max(1, len(os.sched_getaffinity(0)) // workers)
+    return max(1, len(processors()) // workers)
 
 
 class ProcessExecutor(ThreadPoolExecutor):

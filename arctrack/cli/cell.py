@@ -12,6 +12,7 @@ import typer
 
 from arctrack.cli.simulate import JointName, MaterialName, PathOption
 from arctrack.errors import ArctrackError
+from arctrack.system import require_live
 
 if TYPE_CHECKING:
     from arctrack.simulation.cell.weld.closed_loop import ClosedLoopResult, EventResult, LoopPlan
@@ -150,6 +151,7 @@ def serve(
     Another process tracks, such as arctrack serve: it reads frames by their name, and poses off the bus. The
     robot commands nothing before a tracker's heartbeat.
     """
+    require_live("cell serve")
     from arctrack.cli import console
     from arctrack.cli.interrupt import interruptible
     from arctrack.live.serve.simulated import write_simulated_cell

@@ -11,6 +11,7 @@ from arctrack.cli.exit_codes import UNFIT
 from arctrack.cli.inputs import look_at_cell
 from arctrack.cli.interrupt import interruptible
 from arctrack.cli.json_output import AsJson, say_json
+from arctrack.system import require_live
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -31,6 +32,7 @@ def doctor(
     an offset goes out. Nothing is sent, and the laser stays off: not beside a live run of the same cell.
     The exit code is 1 if something failed, without which a live run cannot do, and 0 otherwise.
     """
+    require_live("doctor")
     if cell is not None:
         look_at_cell(cell)
     from arctrack.cli import console

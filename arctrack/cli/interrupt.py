@@ -72,7 +72,7 @@ def stoppable(*others: signal.Signals) -> Iterator[Callable[[], set[signal.Signa
 
     before = {
         number: signal.signal(number, lambda which, _: came.add(signal.Signals(which)))
-        for number in (*ENDING, *others)
+        for number in {*ENDING, *others}
         if number == signal.SIGINT or not is_ignored(number)
     }
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import signal
 import sys
 import tempfile
 import time
@@ -18,16 +17,13 @@ from arctrack.cli.cell import LIVE_MM
 from arctrack.cli.exit_codes import NOTHING_TRACKED
 from arctrack.cli.inputs import look_at_cell
 from arctrack.cli.interrupt import interruptible, stoppable
-from arctrack.end_signals import ENDING
+from arctrack.end_signals import ENDING, SAVING
 from arctrack.errors import ArctrackError
+from arctrack.system import require_live
 
 if TYPE_CHECKING:
     from arctrack.control.cell_file import CellFile
     from arctrack.live.serve.loop import LoopResult, OnTrack
-
-
-SAVING = {signal.SIGUSR1: "asked by SIGUSR1", signal.SIGHUP: "terminal closed"}
-"""Signals on which the black box is saved, and why."""
 
 
 def serve(
@@ -53,6 +49,7 @@ def serve(
     The exit code is 3 where no VALID offset went out, where no frame of a recording is valid, and where the
     torch of a simulated cell was not on the seam.
     """
+    require_live("serve")
     if simulated == (cell is not None):
         raise ArctrackError("serve: give a cell file, or --simulated")
     if cell is not None:
@@ -104,7 +101,7 @@ def serve_cell_file(
                 )
             )
             done, refused = schedule(cell.process)
-        with stoppable(signal.SIGUSR1) as came:
+        with stoppable(*SAVING) as came:
             journal = live.journal
             console.warn([*refused, *(() if journal is None else journal.warnings)])
             page = [] if journal is None or journal.page is None else [f"page: {journal.page}"]

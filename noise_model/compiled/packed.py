@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from noise_model.compiled.content import versions
+from noise_model.compiled.ownership import is_open_to_more
 from noise_model.compiled.store import Record, is_stored, read_records, warn
 from noise_model.compiled.target import target
 
@@ -94,8 +95,7 @@ def _pack() -> Pack | None:
     """Return the pack for what this process compiles for; None if there is none, or none to be trusted."""
     file = pack_folder() / f"{target()}.pack"
     try:
-        status, ours = file.stat(), Path(__file__).stat()
-        if status.st_uid not in (0, os.geteuid(), ours.st_uid) or status.st_mode & ~ours.st_mode & 0o022:
+        if is_open_to_more(file, Path(__file__)):
             warn("foreign", file, "may be written by other users than arctrack itself: it is left aside")
             return None
         return read_pack(file)

@@ -18,6 +18,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from noise_model.compiled.ownership import is_open_to_others
+
 MAX_BYTES = 1 << 30
 """Largest size of the store: all joints' kernels thirty times. The longest unused are removed first."""
 
@@ -164,16 +166,6 @@ def _own(folder: Path) -> Path | None:
     """Return a folder, made unless it is there, if no other user may write in it."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        return None if _is_open_to_others(folder) else folder
+        return None if is_open_to_others(folder) else folder
     except OSError:
-        return folder if folder.is_dir() and not _is_open_to_others(folder) else None
-
-
-def _is_open_to_others(folder: Path) -> bool:
-    """Return True if a user other than this process's and root may write in a folder.
-
-    The group of this user is trusted: many systems give each user one of his own, and let it write.
-    """
-    status = folder.stat()
-    strange_group = status.st_mode & 0o020 and status.st_gid not in (0, os.getegid())
-    return status.st_uid not in (0, os.geteuid()) or bool(status.st_mode & 0o002 or strange_group)
+        return folder if folder.is_dir() and not is_open_to_others(folder) else None

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from arctrack.live.journal.private_memory import open_private, private_path
 from arctrack.live.journal.ring import LOOKS
+from arctrack.system import reserve
 from robot_io import RobotPulse
 
 HOLD_S = 0.3
@@ -68,13 +69,13 @@ class CameraLine:
         new.unlink(missing_ok=True)
         file = open_private(new, os.O_RDWR | os.O_CREAT)
         try:
-            os.posix_fallocate(file, 0, _BYTES)
+            reserve(file, _BYTES)
             self._memory = mmap.mmap(file, _BYTES)
         finally:
             os.close(file)
         self._write(CaptureRequest())
         # A camera finds a line that is whole, and never one that is not there.
-        new.rename(path)
+        new.replace(path)
 
     def switch_laser(self, is_on: bool) -> None:
         """Switch the laser; on lasts for HOLD_S."""

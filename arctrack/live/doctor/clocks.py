@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from arctrack.control.processor import ProcessorWait
 from arctrack.live.doctor.finding import POLICY, DoctorFinding, FindingState, judged
 from arctrack.live.serve.latency import LatencyCounts, Quantiles
 from arctrack.live.serve.process import schedule
+from arctrack.system import scheduling_kept
 
 CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 
@@ -59,15 +59,11 @@ def clock_findings() -> Iterator[DoctorFinding]:
 @contextmanager
 def scheduled_as(choice: ProcessChoice) -> Iterator[None]:
     """Have the scheduling that a run would have, as far as the machine allows it, and give it back."""
-    policy, parameters, cpus = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
-    try:
+    with scheduling_kept():
         for wanted in (ProcessChoice(cpus=choice.cpus), ProcessChoice(priority=choice.priority)):
             # What is refused is a finding of its own.
             schedule(wanted)
         yield
-    finally:
-        os.sched_setaffinity(0, cpus)
-        os.sched_setscheduler(0, policy, parameters)
 
 
 def wake_ups(choice: ProcessChoice, count: int = POLICY.wake_ups) -> Quantiles:

@@ -2,7 +2,6 @@
 
 import os
 import platform
-import resource
 import shutil
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
@@ -11,6 +10,7 @@ from pathlib import Path
 from arctrack.control.cell_file import ProcessChoice
 from arctrack.live.doctor.finding import POLICY, DoctorFinding, FindingState, judged
 from arctrack.live.journal.private_memory import memory_folder
+from arctrack.system import choose_priority, max_locked_bytes, max_priority, processors, scheduling_kept
 
 PACKAGES = ("arctrack", "numpy", "numba", "opencv-contrib-python-headless", "python-can", "av", "aiohttp")
 PROCESSORS = Path("/sys/devices/system/cpu")
@@ -18,7 +18,6 @@ STATUS = Path("/proc/self/status")
 RECEIVE_LIMIT = Path("/proc/sys/net/core/rmem_max")
 LIMITS_CURE = "give the user {key} in /etc/security/limits.conf and log in anew"
 CAP_IPC_LOCK = 14
-UNLIMITED = resource.RLIM_INFINITY
 
 
 def versions_finding() -> DoctorFinding:
@@ -48,7 +47,7 @@ def scheduler_findings(choice: ProcessChoice) -> Iterator[DoctorFinding]:
     yield governor_finding(governors)
     yield _priority_finding(choice)
     if choice.cpus is not None:
-        there = sorted(os.sched_getaffinity(0))
+        there = processors()
         yield judged(
             "[process] cpus",
             f"{list(choice.cpus)} of {there}",
@@ -73,46 +72,45 @@ def governor_finding(governors: list[str]) -> DoctorFinding:
 
 def _priority_finding(choice: ProcessChoice) -> DoctorFinding:
     wanted = choice.priority or 1
-    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(wanted))
+        with scheduling_kept():
+            choose_priority(wanted)
     except OSError as error:
-        soft, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
         problem = FindingState.WARNING if choice.priority is None else FindingState.FAILED
-        text = f"SCHED_FIFO {wanted}: {error.strerror}, RLIMIT_RTPRIO {soft}"
+        text = f"SCHED_FIFO {wanted}: {error.strerror}, RLIMIT_RTPRIO {max_priority()}"
         return DoctorFinding("real-time priority", problem, text, LIMITS_CURE.format(key="an rtprio"))
-    os.sched_setscheduler(0, policy, parameters)
     asked = "" if choice.priority else "; [process] priority asks for none"
     return DoctorFinding("real-time priority", FindingState.OK, f"SCHED_FIFO {wanted} is allowed{asked}")
 
 
 def memory_lock_finding(
-    limit_bytes: int, may_exceed: bool, needed_bytes: int, is_asked: bool
+    limit_bytes: int | None, may_exceed: bool, needed_bytes: int, is_asked: bool
 ) -> DoctorFinding:
     """Find whether the memory that a run maps may be locked.
 
-    `limit_bytes` is RLIMIT_MEMLOCK, `UNLIMITED` for none; CAP_IPC_LOCK (`may_exceed`) lifts it.
+    `limit_bytes` is RLIMIT_MEMLOCK, None for no limit; CAP_IPC_LOCK (`may_exceed`) lifts it.
     `needed_bytes` is all that a run maps: mlockall counts it, used or not. `is_asked` says that the cell asks
     for locking.
     """
-    is_free = may_exceed or limit_bytes == UNLIMITED
-    limit = "unlimited" if is_free else f"{limit_bytes / 1e6:.1f} MB"
+    if may_exceed or limit_bytes is None:
+        limit, is_enough = "unlimited", True
+    else:
+        limit, is_enough = f"{limit_bytes / 1e6:.1f} MB", limit_bytes >= needed_bytes
     return judged(
         "memory lock",
         f"{limit} may be locked, a run maps {needed_bytes / 1e6:.0f} MB",
         FindingState.FAILED if is_asked else FindingState.WARNING,
         LIMITS_CURE.format(key="memlock unlimited") + ("" if is_asked else ", before you state lock_memory"),
-        is_free or limit_bytes >= needed_bytes,
+        is_enough,
     )
 
 
 def own_memory_lock_finding(more_bytes: int, is_asked: bool) -> DoctorFinding:
     """Return whether what this process maps, and some more, may be locked into memory."""
-    status = dict(line.split(":", 1) for line in STATUS.read_text().splitlines())
+    status = dict(line.split(":", 1) for line in STATUS.read_text(encoding="utf-8").splitlines())
     mapped_bytes = 1024 * int(status["VmSize"].split()[0])
     may_exceed = bool(int(status["CapEff"], 16) >> CAP_IPC_LOCK & 1)
-    limit_bytes, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    return memory_lock_finding(limit_bytes, may_exceed, mapped_bytes + more_bytes, is_asked)
+    return memory_lock_finding(max_locked_bytes(), may_exceed, mapped_bytes + more_bytes, is_asked)
 
 
 def receive_buffer_finding(limit_bytes: int, image_bytes: int) -> DoctorFinding:

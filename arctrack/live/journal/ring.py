@@ -8,7 +8,6 @@ The writer holds a lock on the file as long as it lives, however it dies. A file
 writer that crashed: readers say so, and the next writer takes its place.
 """
 
-import fcntl
 import math
 import mmap
 import os
@@ -25,6 +24,7 @@ import numpy.typing as npt
 from arctrack.closing import Closing
 from arctrack.errors import ArctrackError
 from arctrack.live.journal.private_memory import memory_folder, open_private, private_path
+from arctrack.system import is_locked, lock, lock_if_free, reserve
 from noise_model.compiled.arrays import UInt8
 
 MAGIC = b"ARCRNG01"
@@ -72,8 +72,8 @@ class RingWriter(Closing):
         size = ring_bytes(slots, record_bytes)
         try:
             # At most a reader asks at this moment whether a writer lives.
-            fcntl.flock(self._file, fcntl.LOCK_EX)
-            os.posix_fallocate(self._file, 0, size)
+            lock(self._file)
+            reserve(self._file, size)
             # All of it is mapped now: no record waits for a page.
             flags = mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0)
             self._memory = mmap.mmap(self._file, size, flags=flags)
@@ -154,7 +154,7 @@ class RingReader(Closing):
     @property
     def is_writer_alive(self) -> bool:
         """True while a process writes: what it leaves is the last that it wrote."""
-        return _is_locked(self._file)
+        return is_locked(self._file)
 
     def read(self, position: int) -> UInt8 | None:
         """Return a copy of a record by its position from the first, None where it is gone or not whole."""
@@ -188,7 +188,7 @@ def remove_dead_rings() -> None:
     """Remove all that crashed writers left behind."""
     for path in private_path("").iterdir():
         with suppress(OSError), path.open("rb") as file:
-            is_dead = file.read(len(MAGIC)) == MAGIC and not _is_locked(file.fileno())
+            is_dead = file.read(len(MAGIC)) == MAGIC and not is_locked(file.fileno())
             if is_dead:
                 remove_if_dead(path)
 
@@ -201,22 +201,12 @@ def remove_if_dead(path: Path) -> None:
         except FileNotFoundError:
             return
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            path.unlink(missing_ok=True)
-            return
-        except BlockingIOError:
+            if lock_if_free(file):
+                path.unlink(missing_ok=True)
+                return
             time.sleep(0.001)
         finally:
             os.close(file)
-
-
-def _is_locked(file: int) -> bool:
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    fcntl.flock(file, fcntl.LOCK_UN)
-    return False
 
 
 def _slot_bytes(record_bytes: int) -> int:

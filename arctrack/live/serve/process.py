@@ -1,16 +1,13 @@
 """The process of a live run: how it is scheduled, its memory, its garbage, and its watchdog."""
 
-import ctypes
 import faulthandler
 import gc
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from arctrack.control.cell_file import ProcessChoice
-
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
+from arctrack.system import choose_priority, choose_processors, lock_memory, processors
 
 
 def schedule(choice: ProcessChoice) -> tuple[list[str], list[str]]:
@@ -31,24 +28,17 @@ def schedule(choice: ProcessChoice) -> tuple[list[str], list[str]]:
 
     cpus, priority = choice.cpus, choice.priority
     if cpus is not None:
-        there = f"this machine lets it choose of {sorted(os.sched_getaffinity(0))}"
-        attempt(f"cpus = {list(cpus)}", there, lambda: os.sched_setaffinity(0, cpus))
+        there = f"this machine lets it choose of {processors()}"
+        attempt(f"cpus = {list(cpus)}", there, lambda: choose_processors(cpus))
     if priority is not None:
         attempt(
             f"priority = {priority}",
             "give the user an rtprio in /etc/security/limits.conf",
-            lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority)),
+            lambda: choose_priority(priority),
         )
     if choice.lock_memory:
-        attempt("lock_memory = true", "give the user a memlock in /etc/security/limits.conf", _lock_memory)
+        attempt("lock_memory = true", "give the user a memlock in /etc/security/limits.conf", lock_memory)
     return done, refused
-
-
-def _lock_memory() -> None:
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
-        number = ctypes.get_errno()
-        raise OSError(number, os.strerror(number))
 
 
 @contextmanager

@@ -31,7 +31,6 @@ from arctrack.live.doctor.camera import CameraReading, camera_findings
 from arctrack.live.doctor.clocks import clock_findings, clock_source_finding, wake_ups
 from arctrack.live.doctor.finding import DoctorFinding, FindingState
 from arctrack.live.doctor.host import (
-    UNLIMITED,
     disk_finding,
     governor_finding,
     memory_lock_finding,
@@ -104,7 +103,7 @@ def test_memory_is_locked_where_the_limit_or_the_right_to_exceed_it_allows(
     said = memory_lock_finding(limit, may_exceed, needed, is_asked)
     assert (said.state is FindingState.OK) == (may_exceed or limit >= needed)
     assert (said.state is FindingState.FAILED) == (is_asked and not may_exceed and limit < needed)
-    assert memory_lock_finding(UNLIMITED, False, needed, is_asked).state is FindingState.OK
+    assert memory_lock_finding(None, False, needed, is_asked).state is FindingState.OK
 
 
 def test_processors_that_are_not_there_fail_and_scheduling_is_given_back() -> None:
