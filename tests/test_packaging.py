@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import threading
 import tomllib
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -19,6 +21,7 @@ from test_house import MAY_IMPORT
 
 from arctrack.cli import app
 from arctrack.control.cell_file.choices import MonitorChoice
+from noise_model.compiled.packed import pack_serves
 from noise_model.compiled.target import CPU_NAMES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -136,7 +139,47 @@ def test_the_bill_of_materials_is_of_the_lock(tmp_path: Path) -> None:
     subprocess.run([ROOT / ".ci/sbom", tmp_path / "sbom.json"], check=True, stderr=subprocess.DEVNULL)
     bill = json.loads((tmp_path / "sbom.json").read_text())
     lock = (ROOT / "requirements.lock").read_text()
-    pinned = set(re.findall(r"^([\w.-]+)==([^\s;]+)", lock, re.MULTILINE))
-    assert {(each["name"], each["version"]) for each in bill["components"]} == pinned
-    for each in bill["components"]:
-        assert any(reference.get("hashes") for reference in each["externalReferences"])
+    pinned = {
+        (name, version): set(re.findall(r"--hash=sha256:(\w+)", rest))
+        for name, version, rest in re.findall(r"^([\w.-]+)==([^\s;]+)((?:.*\\\n)+.*)", lock, re.MULTILINE)
+    }
+    assert {
+        (each["name"], each["version"]): {
+            kept["content"]
+            for reference in each["externalReferences"]
+            for kept in reference.get("hashes", ())
+        }
+        for each in bill["components"]
+    } == pinned
+
+
+def built(source: Path, kind: str, folder: Path) -> Path:
+    """Return the sdist or the wheel that a source tree makes."""
+    words = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(folder)]
+    subprocess.run(words, cwd=source, check=True, capture_output=True)
+    (path,) = folder.glob("*.whl" if kind == "wheel" else "*.tar.gz")
+    return path
+
+
+@pytest.mark.slow
+def test_a_release_tracks_the_example_and_compiles_nothing(tmp_path: Path) -> None:
+    with tarfile.open(built(ROOT, "sdist", tmp_path)) as sdist:
+        sdist.extractall(tmp_path / "source", filter="data")
+    (source,) = (tmp_path / "source").iterdir()
+    installed, example, cache = (tmp_path / name for name in ("installed", "v_groove", "cache"))
+    with ZipFile(built(source, "wheel", tmp_path)) as wheel:
+        wheel.extractall(installed)
+    shutil.copytree(ROOT / "examples" / "v_groove", example)
+    code = "import arctrack, arctrack.cli; print(arctrack.__file__); arctrack.cli.main()"
+    run = subprocess.run(
+        [sys.executable, "-c", code, "replay", example, "--no-pictures"],
+        env={**os.environ, "PYTHONPATH": str(installed), "NUMBA_CACHE_DIR": str(cache)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert run.stdout.splitlines()[0] == str(installed / "arctrack" / "__init__.py")
+    assert "17 of 17" in run.stdout
+    if pack_serves():
+        assert list(cache.glob("arctrack/kernels/*/*")) == []
