@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from arctrack.child_process import is_child
 from noise_model.arc.scene import make_scene
 from noise_model.compiled.arrays import Float64
 from noise_model.instrument.camera import Rays
@@ -111,6 +112,9 @@ def load_mitsuba() -> Any:
             f"Dr.Jit {drjit.__version__} needs libLLVM {OLDEST_LLVM_1_4} or newer, found is {llvm}: install "
             "one (Debian: libllvm19) and set DRJIT_LIBLLVM_PATH to it, or pip install 'mitsuba<3.9'"
         )
+    if is_child():
+        # The other processes have the other cores, and waiting threads would keep them busy.
+        drjit.set_thread_count(1)
     _register(mitsuba)
     return mitsuba
 
