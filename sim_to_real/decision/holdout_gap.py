@@ -17,7 +17,7 @@ from sim_to_real.data.blocks import dilate, in_blocks, near_face_edges
 from sim_to_real.decision.seam_error import UNKNOWN_ERRORS, SeamErrors
 from sim_to_real.diagnosis import Gap, HeldOutPrediction
 from sim_to_real.fit.gauss_newton import FLICKER, Refit
-from sim_to_real.fit.linearized_model import LinearizedModel
+from sim_to_real.fit.linearized_model import INTERREFLECTION, LinearizedModel
 from sim_to_real.fit.nuisances import apply_levels, apply_nuisances
 from sim_to_real.fit.trend import effects_in_frame
 
@@ -112,6 +112,9 @@ def _predict(
     pose = frame.T_base_tool_in(stated)
     seam = model.renderings.seam(frame, fitted.nuisance, fitted.effects)
     condition = apply_levels(frame.condition, fitted.nuisance)
+    if INTERREFLECTION in stated.effects:
+        view = renderer.layers(apply_setup_effects(stated), pose, seam).view
+        model.keep_bounced(frame, view)
     prediction = predict(stated, pose, condition, seam=seam, renderer=renderer)
     bend_dn2 = _bend_variance_dn2(model, frame, fitted, prediction, stated, condition)
     prediction = replace(prediction, variance_dn2=prediction.variance_dn2 + bend_dn2)

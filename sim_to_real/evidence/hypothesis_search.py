@@ -211,6 +211,9 @@ class HypothesisSearch:
             if looks[name] < self._needed((1.0 - share) * gained) and not is_open:
                 continue
             self.on_stage(f"fitting {name}", 0.2 + 0.6 * n / max_fits)
+            if name == INTERREFLECTION:
+                bouncing_s = self.model.bouncing_s(self.start.nuisance, starts[name][0])
+                self.on_stage(f"fitting {name}, for {bouncing_s:.0f} s or so", 0.2 + 0.6 * n / max_fits)
             fitted.append(self.hypothesis(self.fit(starts[name], self.start.nuisance)))
         settled = self._settled(self.approached(fitted), unknown)
         trends = [trend for single in settled[:3] for trend in self._with_trends(single)]

@@ -7,6 +7,7 @@ an effect itself moves.
 """
 
 import copy
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -23,6 +24,7 @@ from noise_model.instrument.camera import NARROW_PX, blur_inner
 from noise_model.interreflection.model import BouncedLight, bounced_light
 from noise_model.setup import Setup
 from noise_model.surface.joint import BentSeam
+from noise_model.view import View
 from sim_to_real.data.binned import ObservedFrame, ObservedRecording, shows_one_face
 from sim_to_real.fit.frame_light import (
     FrameLight,
@@ -63,7 +65,7 @@ class LinearizedModel:
         self.renderings = Renderings(observed)
         self._whole = [PredictedBins.whole(frame) for frame in observed.frames]
         self._near = [PredictedBins.near(frame) for frame in observed.frames]
-        self._bounced: dict[int, BouncedLight] = {}
+        self._bounced: dict[tuple[int, tuple[int, ...]], BouncedLight] = {}
         self._threads = threads
         self._executor = ThreadPoolExecutor(threads)
 
@@ -286,6 +288,26 @@ class LinearizedModel:
             for bins, (_, light) in zip(self._whole, passed, strict=True)
         ]
 
+    def keep_bounced(self, frame: ObservedFrame, view: View) -> None:
+        """Let a frame's view take the light that bounces from the first view of the frame that had any.
+
+        What bounces is smooth: where it was computed first it may stay, whatever nuisances move.
+        """
+        key = frame.index, view.shape
+        self._bounced[key] = bounced_light(view, self._bounced.get(key))
+
+    def bouncing_s(self, nuisance: Float64, effects: Effects) -> float:
+        """Return the time that light that bounces takes in all frames, s, by that of one, which is kept.
+
+        It is the arc's in nearly all.
+        """
+        lit = np.flatnonzero(self.observed.shows_arc)
+        true = apply_setup_effects(self.renderings.setup(effects, nuisance))
+        began_s = time.perf_counter()
+        for _ in self._passed_light([self._whole[int(lit[0])]], true, nuisance, effects):
+            return len(lit) * (time.perf_counter() - began_s) / self._threads
+        raise AssertionError("a frame has its light")
+
     def _passed_light(
         self, frames: Sequence[PredictedBins], true: Setup, anchor: Float64, effects: Effects
     ) -> Iterator[tuple[Rendering, Light]]:
@@ -299,9 +321,7 @@ class LinearizedModel:
             )
             view = replace(rendered.view, setup=true)
             if INTERREFLECTION in effects:
-                # What bounces is smooth: where it was computed first it may stay, whatever nuisances move.
-                position = bins.frame.position
-                self._bounced[position] = bounced_light(view, self._bounced.get(position))
+                self.keep_bounced(bins.frame, view)
             pass_on(true, light, view, condition)
             yield rendered, light
 
