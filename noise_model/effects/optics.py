@@ -14,7 +14,13 @@ from noise_model.condition import Condition
 from noise_model.effects.effect import UNSTATED, Draw, Effect, Stage, Values
 from noise_model.effects.light import Light
 from noise_model.fit import Parameter
-from noise_model.instrument.spectrum import ArcSpectrum, laser_transmission, over_field, passed_continuum
+from noise_model.instrument.spectrum import (
+    MIN_TRANSMISSION,
+    ArcSpectrum,
+    laser_transmission,
+    over_field,
+    passed_continuum,
+)
 from noise_model.setup import Setup
 from noise_model.stripe import stripe_runs_along_rows
 from noise_model.view import View
@@ -83,7 +89,9 @@ def _filter_shift(light: Light, view: View, condition: Condition, values: Values
         for xy in (view.rays.xy, np.zeros(2))
     )
     line_nm = view.setup.laser.wavelength_nm
-    laser = laser_transmission(shifted, line_nm, angle) / laser_transmission(shifted, line_nm, on_axis)
+    # A fit may try a filter that leans so far that no laser passes on the axis.
+    laser_on_axis = np.maximum(laser_transmission(shifted, line_nm, on_axis), MIN_TRANSMISSION)
+    laser = laser_transmission(shifted, line_nm, angle) / laser_on_axis
     # What is neither the laser's nor the arc's glows: a continuum like the arc's.
     of_continuum = over_field(lambda theta: passed_continuum(shifted, CONTINUUM, theta), angle)
     of_continuum /= passed_continuum(shifted, CONTINUUM, on_axis)

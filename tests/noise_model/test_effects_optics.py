@@ -224,3 +224,10 @@ def test_the_lens_cos4_stays_what_it_is():
     rho2 = ((u - 39.5) ** 2 + (v - 29.5) ** 2) / 50.0**2
     np.testing.assert_allclose(ratio, 1.0 - 0.4 * rho2, rtol=1e-4)
     assert cos4(setup.camera).min() < 0.97
+
+
+def test_a_filter_that_lets_no_laser_through_on_the_axis_leaves_finite_light():
+    values = {"shift_share": 6.0, "tilt_right_deg": 15.0, "tilt_down_deg": 15.0}
+    got = passed(affected(sharp(), filter_shift=values), light_of(BRIGHT, BRIGHT))
+    assert np.isfinite(got.laser).all()
+    assert got.laser.min() >= 0.0
