@@ -35,7 +35,7 @@ or twice as much changes the number of modes by a tenth or so: each is smaller t
 """
 
 STRETCH_TURN, MIN_STRETCHES = 0.0015, 3
-"""Change of slope from one straight stretch to the next, and their least number: a fit may bend the seam.
+"""Change of slope from one straight stretch to the next, and their least number.
 
 Light that grazes a groove's walls at some 0.1 rad goes with the sine of that angle: half of a turn changes it
 by the model's floor, 0.6 %.
@@ -137,20 +137,24 @@ class SeamCurve:
     def bent(self, coefficients: Float64, first_mm: float, last_mm: float, torch_mm: float) -> BentSeam:
         """Return the seam from first to last as straight stretches, tangents at their middles.
 
-        The arc stands at the height that the seam has at the torch's station. The stretches are as many for
-        all coefficients: light would jump where their number changes.
+        The arc stands at the height that the seam has at the torch's station. There are as many stretches as
+        this very seam turns: where the mean alone decided, a fit whose modes bend it was compared, coarsely
+        lit, with one whose mean is bent. Derivatives keep the stretches that they begin with.
         """
-        stations_mm = stretch_stations_mm((first_mm, last_mm), torch_mm, self._stretches(first_mm, last_mm))
-        *stretches, ground = self._tangents_of(self.evaluate(coefficients), stations_mm)
+        evaluated = self.evaluate(coefficients)
+        count = self._stretches(evaluated, first_mm, last_mm)
+        stations_mm = stretch_stations_mm((first_mm, last_mm), torch_mm, count)
+        *stretches, ground = self._tangents_of(evaluated, stations_mm)
         return BentSeam.over_ground(stretches, ground)
 
-    def _stretches(self, first_mm: float, last_mm: float) -> int:
-        """Return the number of stretches that show the mean."""
-        mean = self.mean_mm[:, (self.stations_mm >= first_mm) & (self.stations_mm <= last_mm)]
-        if mean.shape[1] < 2:
+    def _stretches(self, evaluated: tuple[Float64, Float64], first_mm: float, last_mm: float) -> int:
+        """Return the number of stretches that show a seam of displacement and slope (2, g)."""
+        seen = (self.stations_mm >= first_mm) & (self.stations_mm <= last_mm)
+        if np.count_nonzero(seen) < 2:
             return MIN_STRETCHES
-        count = math.ceil(float(np.ptp(np.gradient(mean, GRID_MM, axis=1), axis=1).max()) / STRETCH_TURN)
-        aside = math.ceil(float(np.ptp(mean[0])) / STRETCH_ASIDE_MM) if self.has_ridges else 0
+        displacement, slope = (values[:, seen] for values in evaluated)
+        count = math.ceil(float(np.ptp(slope, axis=1).max()) / STRETCH_TURN)
+        aside = math.ceil(float(np.ptp(displacement[0])) / STRETCH_ASIDE_MM) if self.has_ridges else 0
         return max(count, aside, MIN_STRETCHES)
 
     def tangents(self, coefficients: Float64) -> Callable[[float], SeamLine]:
