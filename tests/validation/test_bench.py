@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tracker.state import Frame, Pose
+from validation.bench import unet
 from validation.bench.__main__ import bench
 from validation.bench.methods import MethodReading, corner_of, on_sheet
 from validation.bench.rivals import READERS, scaled
@@ -178,3 +179,11 @@ def _environment() -> dict[str, str]:
 def test_a_mistake_is_told_in_one_line(words: list[str], problem: str) -> None:
     result = RUNNER.invoke(bench, words)
     assert str(result.exception).startswith(problem)
+
+
+def test_a_network_that_is_not_there_is_named_with_its_cure(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(unet, "WEIGHTS", tmp_path / "unet.npz")
+    result = RUNNER.invoke(bench, ["run", "--only", "u-net"])
+    assert str(result.exception).startswith("--only u-net: needs pip install torch, and its weights: ")

@@ -68,6 +68,10 @@ def run(
     for name in only or ():
         if name not in METHODS:
             raise ArctrackError(f"--only {name}: there is no such method; there are {', '.join(METHODS)}")
+        if name in NEEDS_TORCH and not _has_network():
+            raise ArctrackError(
+                f"--only {name}: needs pip install torch, and its weights: python -m validation.bench train"
+            )
     runnable = [name for name in METHODS if name not in NEEDS_TORCH or _has_network()]
     names = [*(only or runnable), *(method or ())]
     for name in method or ():
