@@ -8,21 +8,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-ENDING: tuple[signal.Signals, ...] = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
+
+def _known(*names: str) -> tuple[signal.Signals, ...]:
+    """Return the signals of some names that this system has."""
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
+ENDING = _known("SIGINT", "SIGTERM", "SIGHUP")
 """Signals that end a run: Ctrl-C, the end of a service, a terminal that is closed."""
 
-SAVING = {
-    getattr(signal, name): why
-    for name, why in (("SIGUSR1", "asked by SIGUSR1"), ("SIGHUP", "terminal closed"))
-    if hasattr(signal, name)
-}
+SAVING = dict.fromkeys(_known("SIGUSR1"), "asked by SIGUSR1") | dict.fromkeys(
+    _known("SIGHUP"), "terminal closed"
+)
 """Signals on which a run saves its black box, and why."""
 
-PARENTS: tuple[signal.Signals, ...] = ENDING + tuple(
-    getattr(signal, name) for name in ("SIGQUIT", "SIGUSR1") if hasattr(signal, name)
-)
+PARENTS = ENDING + _known("SIGQUIT", "SIGUSR1")
 """Signals that a terminal or a service manager sends to all processes of a run, and means for one."""
 
 

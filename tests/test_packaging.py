@@ -34,6 +34,14 @@ def steps(word: str) -> list[str]:
     return [" ".join(rest.split()) for instruction, rest in STEPS if instruction == word]
 
 
+def built(source: Path, kind: str, folder: Path) -> Path:
+    """Return the sdist or the wheel that a source tree makes."""
+    words = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(folder)]
+    subprocess.run(words, cwd=source, check=True, capture_output=True)
+    (path,) = folder.glob("*.whl" if kind == "wheel" else "*.tar.gz")
+    return path
+
+
 def test_there_is_a_small_pack_of_each_target() -> None:
     packs = {file.stem: file.stat().st_size for file in (ROOT / "noise_model/compiled/packs").iterdir()}
     assert packs.keys() == CPU_NAMES.keys()
@@ -51,9 +59,7 @@ def test_a_wheel_carries_the_packs(tmp_path: Path) -> None:
     pack = "noise_model/compiled/packs/x86-64-v3.pack"
     (tmp_path / pack).parent.mkdir(parents=True)
     (tmp_path / pack).write_bytes(b"machine code")
-    subprocess.run([sys.executable, "-m", "hatchling", "build", "-t", "wheel"], cwd=tmp_path, check=True)
-    (wheel,) = (tmp_path / "dist").glob("*.whl")
-    assert ZipFile(wheel).read(pack) == b"machine code"
+    assert ZipFile(built(tmp_path, "wheel", tmp_path / "dist")).read(pack) == b"machine code"
 
 
 def test_the_wheel_leaves_out_what_judges_the_product() -> None:
@@ -151,14 +157,6 @@ def test_the_bill_of_materials_is_of_the_lock(tmp_path: Path) -> None:
         }
         for each in bill["components"]
     } == pinned
-
-
-def built(source: Path, kind: str, folder: Path) -> Path:
-    """Return the sdist or the wheel that a source tree makes."""
-    words = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(folder)]
-    subprocess.run(words, cwd=source, check=True, capture_output=True)
-    (path,) = folder.glob("*.whl" if kind == "wheel" else "*.tar.gz")
-    return path
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """Ownership of files: who may write what arctrack runs as code.
 
-Windows gives a file's owner and what others may do with it to no `os.stat`. It keeps a user's folder from
+On Windows `os.stat` tells neither a file's owner nor who may write it. Windows keeps a user's folder from
 other users by itself: what lies in there is trusted, and nothing else.
 """
 

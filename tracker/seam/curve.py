@@ -138,8 +138,8 @@ class SeamCurve:
         """Return the seam from first to last as straight stretches, tangents at their middles.
 
         The arc stands at the height that the seam has at the torch's station. There are as many stretches as
-        this very seam turns: where the mean alone decided, a fit whose modes bend it was compared, coarsely
-        lit, with one whose mean is bent. Derivatives keep the stretches that they begin with.
+        this very seam turns: by its mean alone, a seam that its modes bend would be lit more coarsely than
+        the same one with a bent mean. Derivatives keep the stretches that they begin with.
         """
         evaluated = self.evaluate(coefficients)
         count = self._stretches(evaluated, first_mm, last_mm)
